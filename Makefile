@@ -25,10 +25,10 @@ help:
 	@echo "ARGS='...' is handed on: make test ARGS='-k lugre'; PYTHON=python3.12 chooses the interpreter"
 
 demo: environment-run
-	@$(BIN)/rx90_demo $(ARGS)
+	@$(BIN)/rx90 demo $(ARGS)
 
 view: environment-run
-	@$(BIN)/rx90_view --demo $(ARGS)
+	@$(BIN)/rx90 view --demo $(ARGS)
 
 action: environment-run
 	@$(BIN)/python -m tools.interfaces

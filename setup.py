@@ -5,31 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "rx90_emulator"
-EXECUTABLES = (
-    "rx90_sim",
-    "rx90_controller",
-    "rx90_cell",
-    "friction_bench",
-    "friction_ramp",
-    "friction_rig_emulator",
-    "rx90_line",
-    "rx90_path",
-    "rx90_run",
-    "rx90_program",
-    "rx90_monitor",
-    "rx90_bag",
-    "rx90_compare_measured",
-    "rx90_own_controller",
-    "rx90_config",
-    "rx90_controller_check",
-    "rx90_correct",
-    "rx90_demo",
-    "rx90_sweep",
-    "rx90_experiment",
-    "rx90_identify",
-    "rx90_export",
-    "rx90_view",
-)
+EXECUTABLES = ("rx90", "rx90_sim", "rx90_controller", "rx90_cell", "friction_bench")
 
 
 def data_files() -> list[tuple[str, list[str]]]:

@@ -29,7 +29,7 @@ from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.temperature import TemperaturePart
-from rx90_emulator.identification.arm import rigid_torque
+from rx90_common.rigid_torque import rigid_torque
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 

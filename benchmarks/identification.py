@@ -30,7 +30,6 @@ from benchmarks.synthetic_sweeps import (
     random_bristles,
     recorded,
     run_presliding,
-    sliding_covariance,
 )
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, make_plan
@@ -43,7 +42,7 @@ from rx90_emulator.loop.setup import Setup
 LEVELS = (0.0, 0.5, 1.0, 2.0)
 """Of the torque noise, in parts of the rig's."""
 BLOCK = 4
-"""Samples of joint_states that are averaged into one, as rx90_identify does: 250 Hz."""
+"""Samples of joint_states that are averaged into one, as rx90 identify does: 250 Hz."""
 TWO_PERCENT = 0.02
 COLUMNS = ("median %", "95 % below", "worst %", "within 2 %", "covered %", "mean score", "not identifiable", "fit s")
 
@@ -142,8 +141,7 @@ def presliding(sets: int) -> None:
             records = [recorded(setup, run, rng, Noise(level * Noise.torque)) for run in runs]
             known = measured_sliding(friction.elements, rng)
             began = time.perf_counter()
-            spreads = [sliding_covariance(one) for one in known]
-            fit = identify_presliding(records, arm, known, 0.0, spreads)
+            fit = identify_presliding(records, arm, known)
             elapsed = time.perf_counter() - began
             for one in outcomes(fit.estimates, friction.elements):
                 tallies[level, one.parameter].add(one.element, one.error, one.score)

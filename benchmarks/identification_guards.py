@@ -55,12 +55,12 @@ from rx90_common.base.models import model_text
 from rx90_common.base.share import config_path
 from rx90_common.friction.friction_file import FrictionFile, load_friction
 
-IDENTIFY = ("rx90_identify",)
-FIT, SWEEPS, UNSEEN, SIGNALS, OUTPUT = "--excitation", "--sliding", "--validation", "--signals", "--output"
+IDENTIFY = ("rx90 identify",)
+FIT, SWEEPS, UNSEEN, SIGNALS, OUTPUT = "excitation", "sliding", "--validation", "--signals", "--output"
 PLAIN_MODEL = ("--model", "coulomb-viscous")
-EXPERIMENT = ("rx90_experiment", "run", "--engine")
-EXPORT = ("rx90_bag", "export")
-RAMP = ("friction_ramp",)
+EXPERIMENT = ("rx90 experiment sliding", "engine")
+EXPORT = ("rx90 bag", "export")
+RAMP = ("rx90 rig ramp",)
 
 RX90 = "rx90b"
 RX90_ELEMENTS = (*(f"joint_{k}" for k in range(1, 7)), "joint_5_6")
@@ -275,8 +275,7 @@ def _emulated_rx90(job: Job, folder: Path) -> Measured:
     friction = replace(friction, elements=tuple(_symmetric(element) for element in friction.elements))
     file = folder / "true.yaml"
     file.write_text(FrictionFile.of(dict(zip(friction.names, friction.elements, strict=True))).text(), encoding="utf-8")
-    words = ["--excitation", "--friction", file, OUTPUT, folder / "series"]
-    series = run([*EXPERIMENT, *words])
+    series = run(["rx90 experiment excitation", "engine", "--friction", file, OUTPUT, folder / "series"])
     if series.code:
         return Measured({}, [], [f"the plan: {_refused(series)}"])
     rng = np.random.default_rng((job.number, 83))
@@ -397,18 +396,17 @@ def _options(arm: Recording, folder: Path) -> list[object]:
 def _read(arm: Recording, folder: Path, name: str, signals: str = "signals.yaml") -> Log:
     """Read a table by its map, for the independent fit: the joints' angles and torques."""
     stated = yaml.safe_load((folder / signals).read_text(encoding="utf-8"))
-    one = next(iter(stated["topics"].values())) if "topics" in stated else stated
     table = np.genfromtxt(folder / f"{name}.csv", delimiter=",", names=True)
 
-    names = one.get("names", stated.get("names"))
+    names = stated["names"]
     places = [names.index(joint) for joint in arm.joints if joint in names] or [*range(len(names))]
 
     def columns(key: str) -> Array:
-        return np.column_stack([table[one[key]["columns"][place]] for place in places])
+        return np.column_stack([table[stated[key]["columns"][place]] for place in places])
 
-    position = columns("position") * (math.pi / 180.0 if one["position"]["unit"] == "deg" else 1.0)
+    position = columns("position") * (math.pi / 180.0 if stated["position"]["unit"] == "deg" else 1.0)
     constant = np.asarray(stated.get("torque_constant", 1.0), dtype=float)
-    torque = columns("effort") * np.asarray(one["effort"].get("factor", 1.0), dtype=float) * constant
+    torque = columns("effort") * np.asarray(stated["effort"].get("factor", 1.0), dtype=float) * constant
     position = position - np.asarray(stated.get("zero", 0.0), dtype=float)
     if arm.robot:
         gear = _drives(config_path(f"robots/{arm.robot}/drives.yaml"), "gear")
@@ -544,7 +542,7 @@ def seconds(job: Job, folder: Path) -> Measured:
     """Time the identification of seven elements from 34 min of bags, or of seven joints from 20 s at 1 kHz."""
     if job.name == "bags":
         run([*EXPERIMENT, OUTPUT, folder / "series"])
-        said = run([*IDENTIFY, folder / "series", OUTPUT, folder / "found.yaml", "--force"])
+        said = run([*IDENTIFY, SWEEPS, folder / "series", OUTPUT, folder / "found.yaml", "--force"])
     else:
         arm = replace(random_arm(7, 7, coupled=False), spring=np.zeros(7))
         motion = FourierMotion.random(arm, 7, period=19.0, periods=1, harmonics=10)

@@ -30,14 +30,14 @@ EXCITATION_LIMITS = {"without bristles": 30.0, "with bristles": 120.0}
 
 
 def bags() -> list[str]:
-    """Time `rx90_identify` on a series; return what is not accepted."""
+    """Time `rx90 identify` on a series; return what is not accepted."""
     with tempfile.TemporaryDirectory() as folder:
         series, elapsed = Path(folder) / "series", 0.0
-        subprocess.run(executable("rx90_experiment", "run", "--engine", "--output", str(series)), check=True)
+        subprocess.run(executable("rx90 experiment sliding", "engine", "--output", str(series)), check=True)
         for _ in range(2):
             began = time.perf_counter()
             output = str(Path(folder) / "friction.yaml")
-            subprocess.run(executable("rx90_identify", str(series), "--output", output, "--force"), check=True)
+            subprocess.run(executable("rx90 identify sliding", str(series), "--output", output, "--force"), check=True)
             elapsed = time.perf_counter() - began
     print(f"identification of seven elements from bags: {elapsed:.1f} s (accepted: at most {BAGS_LIMIT:g} s)")
     merge({"identification_bags_s": elapsed})

@@ -173,7 +173,7 @@ class Recording:
         """
         bag, parameters = self._folder / f"recorded_{number}", (*self._parameters, f"real_time_factor:={pace}")
         with ProcessGroup() as group:
-            recorder = group.start("recorder", executable("rx90_bag", "record", "--output", bag))
+            recorder = group.start("recorder", executable("rx90 bag", "record", "--output", bag))
             if one_process:
                 cell = _start(group, "rx90_cell", *parameters, "clock_rate:=10", node="rx90_sim:")
                 processes = {"simulation": cell}
@@ -181,7 +181,7 @@ class Recording:
                 processes = {"simulation": _start(group, "rx90_sim", *parameters)}
                 processes["controller"] = _start(group, "rx90_controller")
             processes["recorder"] = recorder
-            line = group.start("line", executable("rx90_line", "--from-file", self._task, "--start-time", START))
+            line = group.start("line", executable("rx90 line", self._task, "--start-time", START))
             recorder.wait_for("ready: all")
             line.expect_success()
             seen: list[tuple[float, float, WorkOfParts]] = []

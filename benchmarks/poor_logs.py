@@ -3,7 +3,7 @@
     python -m benchmarks.poor_logs [arms] [--first SEED]
 
 Random arms of 2 and 3 joints with Coulomb and viscous friction, of which everything is known, pass through what
-`rx90_identify --excitation` does with a log: bandwidths, signs, fit. Three runs of 12 s at 200 Hz are recorded
+`rx90 identify excitation` does with a log: bandwidths, signs, fit. Three runs of 12 s at 200 Hz are recorded
 as they should be, or with jittering stamps, gaps, 25 samples per second, one run alone, one joint whose effort is noise
 alone, one whose effort is negated. Of the others' parameters 95 % intervals are counted; a negated effort has to be
 refused by the name of its joint, nothing else at all, and an unseen run has to be confirmed.

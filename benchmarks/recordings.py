@@ -84,7 +84,7 @@ def tx40(clones: Path, folder: Path) -> None:
         "position": {"columns": _columns("q", 6), "unit": "rad"},
         "effort": {"columns": _columns("f", 6), "unit": "Nm"},
     }
-    _write_map(folder, {"time": {"column": "t", "unit": "s"}, "topics": {"motor_states": motors}})
+    _write_map(folder, {"time": {"column": "t", "unit": "s"}, "topic": "motor_states", **motors})
 
 
 def panda(clones: Path, folder: Path) -> None:

@@ -33,7 +33,7 @@ def main() -> int:
         output = Path(folder) / "sweep.parquet"
         arguments = ["run", str(PLAN), "--output", str(output), "--workers", str(WORKERS)]
         began = time.perf_counter()
-        subprocess.run(executable("rx90_sweep", *arguments), cwd=ROOT, check=True)
+        subprocess.run(executable("rx90 sweep", *arguments), cwd=ROOT, check=True)
         elapsed = time.perf_counter() - began
         print("\n".join(line for line in describe_results(output) if "runs" in line or "path_error" in line))
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)

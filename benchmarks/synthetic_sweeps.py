@@ -16,7 +16,7 @@ import pinocchio as pin
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction import FrictionElement, FrictionSet
-from rx90_emulator.identification.arm import rigid_torque
+from rx90_common.rigid_torque import rigid_torque
 from rx90_emulator.identification.estimates import PRESLIDING, SLIDING, ElementEstimate
 from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, make_plan
 from rx90_emulator.identification.records import JointRecord
@@ -231,19 +231,14 @@ def recorded(setup: Setup, run: Run, rng: np.random.Generator, noise: Noise) -> 
     return JointRecord(setup.robot.joint_names, run.time, joints, velocity, noisy @ WRIST, Path(run.name), run.name)
 
 
-def sliding_covariance(element: FrictionElement) -> Array:
-    """Return the covariance of a sliding regime as it is identified, in the order of SLIDING, shape (7, 7)."""
-    names = [name.removesuffix("_positive").removesuffix("_negative") for name in SLIDING]
-    deviation = [_SLIDING_ERROR[name] * element.parameters[full] for name, full in zip(names, SLIDING, strict=True)]
-    return np.diag(np.square(deviation))
-
-
 def measured_sliding(elements: Sequence[FrictionElement], rng: np.random.Generator) -> list[FrictionElement]:
     """Return the sliding regime as it is identified: with errors."""
     found = []
     for element in elements:
-        errors = np.sqrt(np.diag(sliding_covariance(element))) * rng.standard_normal(len(SLIDING))
-        changed = {name: element.parameters[name] + error for name, error in zip(SLIDING, errors, strict=True)}
+        changed = {}
+        for name, error in zip(SLIDING, rng.standard_normal(len(SLIDING)), strict=True):
+            relative = _SLIDING_ERROR[name.removesuffix("_positive").removesuffix("_negative")]
+            changed[name] = element.parameters[name] * (1.0 + relative * error)
         for sign in ("positive", "negative"):
             changed[f"tau_s_{sign}"] = max(changed[f"tau_s_{sign}"], changed[f"tau_c_{sign}"])
         found.append(element.with_parameters(changed))

@@ -1,6 +1,6 @@
 """The lock-step of the nodes with somebody looking against that without.
 
-    python -m benchmarks.view                  # simulation and controller with rx90_view, as fast as they go
+    python -m benchmarks.view                  # simulation and controller with rx90 view, as fast as they go
 
 With and without take turns within one run of the nodes, so that whatever else the machine does meets both. Who looks
 takes what the page is sent, and draws nothing: a browser without a graphics card would take the processors from the
@@ -93,9 +93,9 @@ def processor_time(pid: int) -> float:
 
 @contextmanager
 def viewer() -> Iterator[str]:
-    """Start rx90_view on a free port; give the page's address, and end it afterwards."""
+    """Start rx90 view on a free port; give the page's address, and end it afterwards."""
     with ProcessGroup() as group:
-        process = group.start("view", executable("rx90_view", "--port", 0, "--no-browser"))
+        process = group.start("view", executable("rx90 view", "--port", 0, "--no-browser"))
         yield process.wait_for(r"page: (\S+)")[1]
         process.signal(signal.SIGINT)
         process.expect_success()

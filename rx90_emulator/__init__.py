@@ -25,8 +25,7 @@ Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, Block,
                 LogUniform, Normal
 Identification  plan_experiments, record_on_engine, identify_friction, identification_summary, write_identification,
                 check_friction, IdentificationBags, RobotOptions, ValidationTolerances; from excitation runs:
-                identify_excitation, excitation_summary, write_excitation, ExcitationTolerances; for one of your own:
-                regressor, excitation_problem, predict_torque, RigidArm
+                identify_excitation; for one of your own: regressor, excitation_problem, predict_torque, RigidArm
 Exports         export_robot, write_export
 Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted;
                 Rx90Warning, of a run that means less than it seems to
@@ -102,23 +101,22 @@ if TYPE_CHECKING:
         identify_friction as identify_friction,
     )
     from rx90_emulator.identification.job import (
-        write_excitation as write_excitation,
         write_identification as write_identification,
-        write_measured as write_measured,
     )
     from rx90_emulator.identification.options import (
-        ExcitationTolerances as ExcitationTolerances,
         MeasuredLayout as MeasuredLayout,
-        MeasuredTolerances as MeasuredTolerances,
         RobotOptions as RobotOptions,
         ValidationTolerances as ValidationTolerances,
     )
     from rx90_emulator.identification.output.summary import (
-        excitation_summary as excitation_summary,
         identification_summary as identification_summary,
-        measured_summary as measured_summary,
     )
-    from rx90_emulator.identification.validation.measured import compare_measured as compare_measured
+    from rx90_emulator.measured_runs.compare import compare_measured as compare_measured
+    from rx90_emulator.measured_runs.options import MeasuredTolerances as MeasuredTolerances
+    from rx90_emulator.measured_runs.output import (
+        measured_summary as measured_summary,
+        write_measured as write_measured,
+    )
     from rx90_emulator.loop.closed_loop import simulate as simulate
     from rx90_emulator.loop.line import (
         followed_accuracy as followed_accuracy,

@@ -1,6 +1,6 @@
-"""`python -m rx90_emulator EXECUTABLE ...`: every executable without its console script.
+"""`python -m rx90_emulator VERB ...` is `rx90 VERB ...`, and `python -m rx90_emulator NODE ...` runs a node.
 
-Child processes start it by its path, `python .../rx90_emulator/__main__.py EXECUTABLE ...`.
+Child processes start it by its path, `python .../rx90_emulator/__main__.py ...`.
 """
 
 import sys

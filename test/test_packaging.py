@@ -25,8 +25,8 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "rx90_emulator"
 EXECUTABLES = sorted(e.name for e in distribution(PACKAGE).entry_points if e.group == "console_scripts")
 NODES = ("rx90_sim", "rx90_controller")
-STARTED = (*NODES, "rx90_bag", "friction_ramp")
-"""Executables of each kind: node, verbs, options; the generated scripts differ by their names alone."""
+STARTED = (*NODES, "rx90")
+"""A node of each kind, and the command; the generated scripts differ by their names alone."""
 
 # Keys that rosdep resolves by apt on Ubuntu 24.04 (noble): rosdistro at 8468e88 of 2026-08-22, `ubuntu:` of
 # rosdep/python.yaml without a pip entry, and packages released for noble in jazzy/distribution.yaml. rosdep knows

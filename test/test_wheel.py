@@ -89,8 +89,8 @@ def test_the_wheel_is_whole_and_works_without_the_source_tree(wheel: Path, tmp_p
 
     binaries = installed(wheel, tmp_path / "environment")
     assert {path.name for path in binaries.iterdir()} >= EXECUTABLES
-    for name in ("rx90_sweep", "rx90_identify"):
-        assert run(binaries / name, "--help", folder=binaries.parent).startswith("usage:")
+    for verb in ("sweep", "identify"):
+        assert run(binaries / "rx90", verb, "--help", folder=binaries.parent).startswith("usage:")
     code = (
         f"import importlib\nfor name in {PACKAGES}:\n    print(importlib.import_module(name).__file__)\n"
         "import rx90_emulator as rx\nfrom rx90_common.base.share import config_path\n"
@@ -101,8 +101,8 @@ def test_the_wheel_is_whole_and_works_without_the_source_tree(wheel: Path, tmp_p
     assert all(path.is_file() and path.is_relative_to(binaries.parent) for path in found), found
 
     (tmp_path / "task.yaml").write_text(SHORT_TASK, encoding="utf-8")
-    words = ("--task", "task.yaml", "--output", "bag", "--arrays", "run.npz")
-    assert "path error: worst 0.2" in run(binaries / "rx90_run", *words, folder=tmp_path)
+    words = ("run", "task.yaml", "--output", "bag", "--arrays", "run.npz")
+    assert "path error: worst 0.2" in run(binaries / "rx90", *words, folder=tmp_path)
     here = rx.run_line(rx.load_setup(), rx.load_task(tmp_path / "task.yaml"), record_fast=True)
     rx.write_bag(here, tmp_path / "here")
     comparison = rx.compare_bags(tmp_path / "bag", tmp_path / "here")

@@ -47,14 +47,14 @@ def _run(*words: str, cwd: Path | None = None) -> str:
 
 
 def _help() -> Iterator[tuple[str, str]]:
-    from rx90_emulator.cli.frame import EXECUTABLES
+    from rx90_emulator.cli.frame import COMMANDS
 
-    for name in sorted(EXECUTABLES):
-        text = _run(name, "--help")
-        yield name, text
+    for name in sorted(COMMANDS):
+        text = _run(*name.split(), "--help")
+        yield name.replace(" ", "_"), text
         verbs = re.search(r"positional arguments:\n  \S+(?: \.\.\.)?\n((?:    .*\n)+)", text)
         for verb in re.findall(r"^    (\w\S*)", verbs[1], re.MULTILINE) if verbs else ():
-            yield f"{name}_{verb}", _run(name, verb, "--help")
+            yield f"{name.replace(' ', '_')}_{verb}", _run(*name.split(), verb, "--help")
 
 
 def _plain_type(text: str) -> str:
@@ -97,11 +97,11 @@ def _identified(*options: str, excitation: bool = False) -> Callable[[], Iterato
     def parts() -> Iterator[tuple[str, str]]:
         with tempfile.TemporaryDirectory() as scratch:
             folder = Path(scratch)
-            kind = ["--excitation"] if excitation else []
-            _run("rx90_experiment", "run", "--engine", *kind, *options, "--output", "series", cwd=folder)
+            kind = "excitation" if excitation else "sliding"
+            _run("rx90", "experiment", kind, "engine", *options, "--output", "series", cwd=folder)
             robot = [word for word in options if word == "--robot" or word in ("rx90b", "tx40")]
             output = "identified" if excitation else "friction.yaml"
-            yield "terminal", _run("rx90_identify", "series", "--output", output, *robot, cwd=folder)
+            yield "terminal", _run("rx90", "identify", kind, "series", "--output", output, *robot, cwd=folder)
             written = folder / output
             for file in sorted(written.iterdir()) if excitation else (written, written.with_suffix(".html")):
                 if file.suffix in (".yaml", ".urdf", ".csv", ".json"):

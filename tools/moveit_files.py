@@ -17,9 +17,9 @@ import pinocchio as pin
 import yaml
 
 from rx90_common.base.errors import ConfigError, Rx90Error
+from rx90_common.description.poses import Poses
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles, shipped_robots
-from rx90_emulator.identification.experiments.plan import Poses
 from rx90_emulator.loop.setup import Setup
 
 GROUP, TIP, TOOL = "manipulator", "tool0", "tool"

@@ -9,7 +9,6 @@ import json
 from pathlib import Path
 
 from rx90_emulator.configuration.kinds import KINDS
-from rx90_emulator.configuration.nodes import NODE_FILE
 
 FOLDER = Path(__file__).resolve().parent.parent / "config" / "schemas"
 
@@ -18,7 +17,7 @@ def texts() -> dict[str, str]:
     """Return the text of each file by its name."""
     return {
         f"{kind.name}.json": json.dumps(kind.json_schema(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        for kind in (*KINDS, NODE_FILE)
+        for kind in KINDS
     }
 
 

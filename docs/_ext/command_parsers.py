@@ -1,4 +1,4 @@
-"""The parser of each command, by its name, as `sphinx-argparse` asks for them."""
+"""The parser of each node and each verb of `rx90`, by its name, as `sphinx-argparse` asks for them."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from argparse import ArgumentParser, _SubParsersAction
 from collections.abc import Callable, Iterator
 from functools import partial
 
-from rx90_emulator.cli.frame import EXECUTABLES
+from rx90_emulator.cli.frame import NODES, VERBS
 from rx90_emulator.cli.options import command_of
 
 
 def _parser(name: str) -> ArgumentParser:
-    parser, _ = command_of(name, EXECUTABLES[name])
+    parser, _ = command_of(name if name in NODES else f"rx90 {name}")
     for each in _with_verbs(parser):
         each.description, each.epilog = _as_written(each.description), _as_written(each.epilog)
     return parser
@@ -22,7 +22,8 @@ def _with_verbs(parser: ArgumentParser) -> Iterator[ArgumentParser]:
     yield parser
     for action in parser._actions:
         if isinstance(action, _SubParsersAction):
-            yield from action.choices.values()
+            for verb in action.choices.values():
+                yield from _with_verbs(verb)
 
 
 def _as_written(text: str | None) -> str | None:
@@ -34,6 +35,6 @@ def _as_written(text: str | None) -> str | None:
 
 def __getattr__(name: str) -> Callable[[], ArgumentParser]:
     """Return what makes the parser of a command."""
-    if name not in EXECUTABLES:
+    if name not in (*NODES, *VERBS):
         raise AttributeError(name)
     return partial(_parser, name)

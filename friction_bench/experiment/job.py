@@ -1,4 +1,4 @@
-"""The run of `friction_ramp` without its options: new ramps, planned from the first one, or recorded ones."""
+"""The run of `rx90 rig ramp` without its options: new ramps, planned from the first one, or recorded ones."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from friction_bench.experiment.identification import evaluate
-from friction_bench.experiment.record import INSTANTANEOUS, RampRecord, read_csv, read_text, sliding_window, write_csv
+from friction_bench.experiment.record import RampRecord, read_csv, read_text, sliding_window, write_csv
 from friction_bench.experiment.report import write_friction, write_result
 from friction_bench.experiment.session import (
     EMULATED,
@@ -49,16 +49,6 @@ MIN_SLIDING_READINGS = 300
 MAX_REPEATS = 20
 LOADS = {False: "no-load", True: "loaded"}
 _CHOSEN_LOADS = {"none": (False,), "joint": (True,), "both": (False, True)}
-_RIG_OPTIONS = {
-    "port": EMULATED,
-    "load": "both",
-    "slopes": None,
-    "repeats": None,
-    "end_torque": None,
-    "seed": None,
-    "clear": False,
-}
-"""Options with which nothing can be done when old data are read, and their defaults."""
 
 
 def run_ramp(
@@ -179,7 +169,7 @@ def run(options: argparse.Namespace) -> int:
     path = RobotFiles.of_options(options).friction
     base = FrictionFile.read(path)
     _check(options, base, path)
-    if options.no_load_file or options.loaded_file:
+    if options.files:
         records = _read(options, rig)
         new_measurement(out)
         origin = counted(len(records), "recorded ramp")
@@ -214,19 +204,9 @@ def _check(options: argparse.Namespace, base: FrictionFile, path: Path) -> None:
     check_line(options.port, options.baud)
     if options.seed is not None and options.port != EMULATED:
         raise ConfigError(f"--seed with --port {plain(options.port)}; accepted: with the emulated rig alone")
-    if options.no_load_file or options.loaded_file:
-        for name, usual in _RIG_OPTIONS.items():
-            if getattr(options, name) not in (None, usual):
-                raise ConfigError(f"--{name.replace('_', '-')} with old data; accepted: with a rig")
-    elif options.text:
-        raise ConfigError("--text is given without a file; accepted: with --no-load-file or --loaded-file")
-    if options.velocity and options.text != "velocity":
-        raise ConfigError(f"--velocity is {options.velocity}; accepted: with --text velocity alone")
 
 
 def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
-    if options.source and options.slopes:
-        raise ConfigError("--slopes with --source; accepted: the rig file's, the first no-load, the second loaded")
     slopes = tuple(options.slopes or rig.ramps.slopes)
     torque = options.end_torque
     if torque is not None and not 0.0 < torque <= rig.torque.dac_full_scale:
@@ -284,7 +264,6 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[Ramp
 
 
 def _read(options: argparse.Namespace, rig: Rig) -> list[RampRecord]:
-    kind = INSTANTANEOUS if options.velocity == "instantaneous" else options.text
     records = []
     for loaded, entries in ((False, options.no_load_file), (True, options.loaded_file)):
         for entry in entries:
@@ -295,8 +274,8 @@ def _read(options: argparse.Namespace, rig: Rig) -> list[RampRecord]:
                 slope = math.nan
             if not 0.0 < slope < math.inf or not file:
                 raise ConfigError(f"file is {quoted(entry)}; accepted: slope:file, for example 0.05:ramp_01.csv")
-            if kind:
-                records.append(read_text(Path(file), kind, slope, rig.angle_step, rig.tick, loaded))
+            if options.text:
+                records.append(read_text(Path(file), options.text, slope, rig.angle_step, rig.tick, loaded))
             else:
                 records.append(read_csv(Path(file), slope, rig.angle_step, loaded))
     return records

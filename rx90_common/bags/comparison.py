@@ -12,17 +12,15 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
 from rx90_common.bags.mapping import LogMapping
-from rx90_common.bags.reading import JointBag, read_joint_bag, series_topics_text
+from rx90_common.bags.reading import JointBag, read_joint_bag
 from rx90_common.bags.recorded import START, TRAJECTORY, time_shift
 from rx90_common.bags.tolerance import Tolerances
-from rx90_common.bags.topics import FIELDS, absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, check_type
 from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 
 _KEY = np.dtype([("stamp", np.int64), ("occurrence", np.int64)])
-_BAGS = ("first", "second")
 
 
 class Verdict(IntEnum):
@@ -61,8 +59,7 @@ class ValueDifference:
         rms: root mean square of the differences of finite values.
         tolerance: the largest difference accepted; 0 requires equal bits.
         beyond: number of pairs beyond the tolerance, also those that `not_finite` counts.
-        not_finite: number of pairs with only one NaN, or with unequal infinities; without a tolerance
-            also those of two NaN with other bits.
+        not_finite: number of these whose difference is no finite number.
     """
 
     joint: str
@@ -78,7 +75,7 @@ class ValueDifference:
 
 @dataclass(frozen=True)
 class TopicComparison:
-    """The comparison of one topic, or of one set of joints in it.
+    """The comparison of one topic.
 
     Attributes:
         topic: absolute topic name.
@@ -138,7 +135,6 @@ class Scope:
 
     Attributes:
         topics: only these; by default all JointState topics, each of which must then be in both bags.
-        fields: some of position, velocity, effort.
         start_ns: messages before this stamp are left out.
         end_ns: messages after this stamp are left out.
         common_range: stamps outside the common range are ignored.
@@ -147,27 +143,20 @@ class Scope:
     """
 
     topics: tuple[str, ...] | None = None
-    fields: tuple[str, ...] = FIELDS
     start_ns: int | None = None
     end_ns: int | None = None
     common_range: bool = False
     align: int | str = 0
 
     def __post_init__(self) -> None:
-        if not self.fields or not set(self.fields) <= set(FIELDS):
-            raise BagError(f"fields {listed(self.fields) or 'none'}; accepted: some of {', '.join(FIELDS)}")
         if isinstance(self.align, str) and self.align not in (START, TRAJECTORY):
             raise BagError(f"align is {quoted(self.align)}; accepted: {START}, {TRAJECTORY}, or ns")
 
     def cut(self, series: JointSeries) -> JointSeries:
         """Return the part of a series that is compared."""
-        inside = np.ones(len(series.stamp_ns), dtype=np.bool_)
-        if self.start_ns is not None:
-            inside &= series.stamp_ns >= self.start_ns
-        if self.end_ns is not None:
-            inside &= series.stamp_ns <= self.end_ns
-        part = series.only(self.fields)
-        return part if inside.all() else part.take(inside)
+        start_ns = series.stamp_ns.min(initial=0) if self.start_ns is None else self.start_ns
+        end_ns = series.stamp_ns.max(initial=0) if self.end_ns is None else self.end_ns
+        return series.take((series.stamp_ns >= start_ns) & (series.stamp_ns <= end_ns))
 
 
 def compare_bags(
@@ -192,62 +181,34 @@ def compare_bags(
     tolerances = tolerances or Tolerances()
     scope = scope or Scope()
     check_type(tolerances=(tolerances, Tolerances), scope=(scope, Scope))
-    chosen = None if scope.topics is None else [absolute(topic) for topic in scope.topics]
-    first = read_joint_bag(path_a, chosen, mapping=mapping)
-    second = read_joint_bag(path_b, chosen, mapping=mapping)
-    for bag in (first, second):
-        if not any(topic.count for topic in bag.topics):
-            raise BagError(f"{plain(bag.path)}: holds no messages")
-        if not any(topic.is_joint_state for topic in bag.topics):
-            raise BagError(f"{plain(bag.path)}: holds no JointState topic, only {listed(t.name for t in bag.topics)}")
-    every = [*first.topics, *second.topics]
-    there = sorted({topic.name for topic in every if topic.is_joint_state})
-    for topic in chosen or ():
-        if topic not in there:
-            raise BagError(f"topic {plain(topic)} is in neither bag; {series_topics_text(every)}")
+    first = read_joint_bag(path_a, scope.topics, mapping=mapping, all_there=True)
+    second = read_joint_bag(path_b, scope.topics, mapping=mapping, all_there=True)
     shift = time_shift(scope.align, first, second)
     second = second.moved(shift)
-    joints: dict[str, set[str]] = {topic: set() for topic in chosen or there}
-    for bag in (first, second):
-        for topic, sets in bag.series.items():
-            joints[topic].update(name for series in sets for name in series.names)
-    tolerances.check(there, joints)
-    results: list[TopicComparison] = []
-    for topic in joints:
-        results += _compare_topic(topic, (first, second), tolerances, scope)
+    topics = sorted({*first.series, *second.series})
+    joints = {name for bag in (first, second) for sets in bag.series.values() for part in sets for name in part.names}
+    tolerances.check(topics, joints)
+    results = []
+    for topic in topics:
+        a = _part(first, topic, scope)
+        b = _part(second, topic, scope)
+        if a is not None and b is not None:
+            results.append(compare_series(a, b, tolerances, scope))
+        elif a is not None or b is not None:
+            where = "second" if a is None else "first"
+            results.append(_incomparable(topic, f"only the {where} bag has messages of it"))
     if not results:
         raise BagError(f"neither {plain(first.path)} nor {plain(second.path)} has a JointState message in the window")
-    if set(scope.fields) < set(FIELDS) and not any(r.values or r.verdict is not Verdict.SAME for r in results):
-        parts = [series for bag in (first, second) for sets in bag.series.values() for series in sets]
-        recorded = listed(dict.fromkeys(field for series in parts for field in series.fields))
-        raise BagError(f"fields {', '.join(scope.fields)}: no message has any of them; accepted: some of {recorded}")
-    skipped = tuple(sorted({topic.name for topic in every if not topic.is_joint_state}))
-    return BagComparison(first.path, second.path, tuple(results), skipped, shift)
+    others = {topic.name for topic in (*first.topics, *second.topics) if not topic.is_joint_state}
+    return BagComparison(first.path, second.path, tuple(results), tuple(sorted(others)), shift)
 
 
-def _compare_topic(
-    topic: str, bags: tuple[JointBag, JointBag], tolerances: Tolerances, scope: Scope
-) -> list[TopicComparison]:
-    """Compare each set of joints of a topic; a single one of each bag even where they differ."""
-    sets: list[dict[frozenset[str], JointSeries]] = []
-    for bag in bags:
-        parts = [scope.cut(series) for series in bag.series.get(topic, ())]
-        sets.append({frozenset(part.names): part for part in parts if len(part.stamp_ns)})
-    first, second = sets
-    if not first and not second:
-        return [] if scope.topics is None else [_incomparable(topic, "no message of it is in either bag")]
-    if len(first) == len(second) == 1:
-        (series_a,) = first.values()
-        (series_b,) = second.values()
-        return [compare_series(series_a, series_b, tolerances, scope)]
-    results = []
-    for joints in dict.fromkeys([*first, *second]):
-        if joints in first and joints in second:
-            results.append(compare_series(first[joints], second[joints], tolerances, scope))
-        else:
-            where = _BAGS[joints in second]
-            results.append(_incomparable(topic, f"only the {where} bag has messages of {listed(sorted(joints))}"))
-    return results
+def _part(bag: JointBag, topic: str, scope: Scope) -> JointSeries | None:
+    """Return what is compared of a topic, None where there is no message."""
+    if not bag.series.get(topic):
+        return None
+    part = scope.cut(bag.one(topic))
+    return part if len(part.stamp_ns) else None
 
 
 def compare_series(
@@ -262,35 +223,23 @@ def compare_series(
     joints = tuple(name for name in a.names if name in b.names)
     if not joints:
         return _incomparable(a.topic, f"no joint in common: {listed(a.names)} against {listed(b.names)}")
-    alignment = align(a, b)
-    if not len(alignment.stamp_ns):
+    if not np.isin(a.stamp_ns, b.stamp_ns).any():
         return _incomparable(a.topic, "no stamp in common; bags that began at other times can be aligned")
-    reasons: list[str] = []
-    for where, series, compared, side in (("first", a, b, alignment.a), ("second", b, a, alignment.b)):
-        lacking = [name for name in series.names if name not in compared.names]
-        lacking += [field for field in series.fields if field not in compared.fields]
-        if lacking:
-            reasons.append(f"only the {where} bag has {listed(lacking)}")
-        if side.first_missing_ns is not None:
-            reasons.append(
-                f"only the {where} bag has {counted(side.missing, 'message')} of the common range, "
-                f"the first at t = {side.first_missing_ns / NANOSECONDS:.9f} s"
-            )
-        if side.outside and not scope.common_range:
-            reasons.append(f"only the {where} bag has {counted(side.outside, 'message')} outside the common range")
-    both = [field for field in a.fields if field in b.fields]
-    if "effort" in both and a.units["effort"] != b.units["effort"]:
-        both.remove("effort")
+    alignment = align(a, b)
+    reasons = _only_in("first", a, b, alignment.a, scope) + _only_in("second", b, a, alignment.b, scope)
+    fields = [field for field in a.fields if field in b.fields]
+    if "effort" in fields and a.units["effort"] != b.units["effort"]:
+        fields.remove("effort")
         units = f"{plain(a.units['effort'])} in the first bag and in {plain(b.units['effort'])} in the second"
         reasons.append(f"effort is in {units}, and not compared")
-    values: list[ValueDifference] = []
-    for field in both:
+    values = []
+    for field in fields:
         for joint in joints:
             tolerance = tolerances.of(a.topic, joint, field)
-            column_a = _column(a, field, joint, alignment.rows_a)
-            column_b = _column(b, field, joint, alignment.rows_b)
+            values_a = a.fields[field][alignment.rows_a, a.names.index(joint)]
+            values_b = b.fields[field][alignment.rows_b, b.names.index(joint)]
             unit = a.units[field]
-            values.append(_difference(joint, field, unit, column_a, column_b, alignment.stamp_ns, tolerance))
+            values.append(_difference(joint, field, unit, values_a, values_b, alignment.stamp_ns, tolerance))
     verdict = Verdict.DIFFERS if reasons or any(value.beyond for value in values) else Verdict.SAME
     return TopicComparison(
         a.topic, joints, len(alignment.stamp_ns), alignment.range_ns, alignment.a, alignment.b, tuple(values),
@@ -298,22 +247,29 @@ def compare_series(
     )  # fmt: skip
 
 
-def _column(series: JointSeries, field: str, joint: str, rows: NDArray[np.intp]) -> Array:
-    return np.ascontiguousarray(series.fields[field][rows, series.names.index(joint)])
+def _only_in(where: str, series: JointSeries, compared: JointSeries, side: Side, scope: Scope) -> list[str]:
+    """Return what a series has and the one that it is compared with lacks, in words."""
+    lacking = [name for name in series.names if name not in compared.names]
+    lacking += [field for field in series.fields if field not in compared.fields]
+    parts = [listed(lacking)] if lacking else []
+    if side.first_missing_ns is not None:
+        first = f"the first at t = {side.first_missing_ns / NANOSECONDS:.9f} s"
+        parts.append(f"{counted(side.missing, 'message')} of the common range, {first}")
+    if side.outside and not scope.common_range:
+        parts.append(f"{counted(side.outside, 'message')} outside the common range")
+    return [f"only the {where} bag has {part}" for part in parts]
 
 
 def _difference(
     joint: str, field: str, unit: str, a: Array, b: Array, stamp_ns: Int64Array, tolerance: float
 ) -> ValueDifference:
-    finite = np.isfinite(a) & np.isfinite(b)
-    equal_bits = a.view(np.int64) == b.view(np.int64)
-    # Without a tolerance, two NaN with other bits are not the same.
-    both_nan = np.isnan(a) & np.isnan(b) & (tolerance > 0.0)
-    not_finite = int((~finite & ~(equal_bits | (a == b) | both_nan)).sum())
-    with np.errstate(over="ignore"):
-        distance = np.abs(np.where(finite, a, 0.0) - np.where(finite, b, 0.0))
-    distance = np.minimum(distance, np.finfo(np.float64).max)
-    beyond = distance > tolerance if tolerance > 0.0 else finite & ~equal_bits
+    with np.errstate(over="ignore", invalid="ignore"):
+        distance = np.abs(a - b)
+    beyond = a.view(np.int64) != b.view(np.int64)
+    if tolerance > 0.0:
+        beyond &= ~(distance <= tolerance) & ~(np.isnan(a) & np.isnan(b))
+    finite = np.isfinite(distance)
+    distance = np.where(finite, distance, 0.0)
     largest = int(np.argmax(distance))
     maximum = float(distance[largest])
     at_ns = None
@@ -321,8 +277,8 @@ def _difference(
     if maximum > 0.0:  # scaled by it, so that the squares neither under- nor overflow
         at_ns = int(stamp_ns[largest])
         rms = maximum * float(np.sqrt(np.sum((distance / maximum) ** 2) / finite.sum()))
-    count = int(beyond.sum()) + not_finite
-    return ValueDifference(joint, field, unit, maximum, at_ns, rms, tolerance, count, not_finite)
+    not_finite = int((beyond & ~finite).sum())
+    return ValueDifference(joint, field, unit, maximum, at_ns, rms, tolerance, int(beyond.sum()), not_finite)
 
 
 def _incomparable(topic: str, reason: str) -> TopicComparison:
@@ -330,57 +286,48 @@ def _incomparable(topic: str, reason: str) -> TopicComparison:
 
 
 class Alignment(NamedTuple):
-    """Pairs of rows with equal stamps, in their order; `range_ns` is the stamps' common range, if any."""
+    """Pairs of rows with equal stamps, in their order; `range_ns` is the stamps' common range."""
 
     rows_a: NDArray[np.intp]
     rows_b: NDArray[np.intp]
     stamp_ns: Int64Array
-    range_ns: tuple[int, int] | None
+    range_ns: tuple[int, int]
     a: Side
     b: Side
 
 
 def align(a: JointSeries, b: JointSeries) -> Alignment:
-    """Pair the messages of two series by stamp.
+    """Pair the messages of two series, neither of them empty, by stamp.
 
     Several messages with one stamp: exact repetitions count once; different ones are paired in their order,
     the first with the first and so on.
     """
     rows_a, keys_a = _keys(a)
     rows_b, keys_b = _keys(b)
-    _, matched_a, matched_b = np.intersect1d(keys_a, keys_b, assume_unique=True, return_indices=True)
+    _, paired_a, paired_b = np.intersect1d(keys_a, keys_b, assume_unique=True, return_indices=True)
     stamp_a = a.stamp_ns[rows_a]
     stamp_b = b.stamp_ns[rows_b]
-    common = None
-    if (
-        len(stamp_a)
-        and len(stamp_b)
-        and (low := max(stamp_a[0], stamp_b[0])) <= (high := min(stamp_a[-1], stamp_b[-1]))
-    ):
-        common = int(low), int(high)
-    return Alignment(
-        rows_a[matched_a], rows_b[matched_b], stamp_a[matched_a], common,
-        _side(stamp_a, matched_a, common), _side(stamp_b, matched_b, common),
-    )  # fmt: skip
+    common = int(max(stamp_a[0], stamp_b[0])), int(min(stamp_a[-1], stamp_b[-1]))
+    side_a = _side(np.delete(stamp_a, paired_a), common)
+    side_b = _side(np.delete(stamp_b, paired_b), common)
+    return Alignment(rows_a[paired_a], rows_b[paired_b], stamp_a[paired_a], common, side_a, side_b)
 
 
-def _side(stamp_ns: Int64Array, matched: NDArray[np.intp], common: tuple[int, int] | None) -> Side:
-    low, high = common or (0, -1)
-    inside = (stamp_ns >= low) & (stamp_ns <= high)
-    missing = stamp_ns[np.setdiff1d(np.flatnonzero(inside), matched)]
-    return Side(len(missing), int(missing[0]) if len(missing) else None, int((~inside).sum()))
+def _side(single_ns: Int64Array, common: tuple[int, int]) -> Side:
+    """Count the stamps without a partner."""
+    missing = single_ns[(single_ns >= common[0]) & (single_ns <= common[1])]
+    first = int(missing[0]) if len(missing) else None
+    return Side(len(missing), first, len(single_ns) - len(missing))
 
 
 def _keys(series: JointSeries) -> tuple[NDArray[np.intp], NDArray[np.void]]:
     """Return the rows that are no repetitions, by stamp, and their stamps and numbers among those with the same."""
-    rows = np.argsort(series.stamp_ns, kind="stable")
-    stamp = series.stamp_ns[rows]
-    if (np.diff(stamp) == 0).any():
-        bits = np.column_stack([stamp, *(values[rows].view(np.int64) for values in series.fields.values())])
-        _, first = np.unique(bits, axis=0, return_index=True)
-        rows = rows[np.sort(first)]
-        stamp = series.stamp_ns[rows]
+    rows = np.arange(len(series.stamp_ns))
+    if len(np.unique(series.stamp_ns)) < len(rows):
+        bits = np.column_stack([series.stamp_ns, *(values.view(np.int64) for values in series.fields.values())])
+        rows = np.sort(np.unique(bits, axis=0, return_index=True)[1])
+    rows = rows[np.argsort(series.stamp_ns[rows], kind="stable")]
     keys = np.zeros(len(rows), dtype=_KEY)
-    keys["stamp"] = stamp
-    keys["occurrence"] = np.arange(len(rows)) - np.searchsorted(stamp, stamp)
+    keys["stamp"] = series.stamp_ns[rows]
+    keys["occurrence"] = np.arange(len(rows)) - np.searchsorted(keys["stamp"], keys["stamp"])
     return rows, keys

@@ -20,6 +20,7 @@ ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 MAX_MESSAGE_BYTES: Final = 16 << 20
 _MAX_WHOLE_BYTES = 256 << 20  # of all parts of a file, or
 _MAX_WHOLE_FACTOR = 50  # times its size
+_MAX_ARRAYS_FACTOR = 4
 _COPY_BYTES = 1 << 20
 
 
@@ -45,9 +46,14 @@ def check_length(noun: str, length: int, most: int) -> None:
         raise DamagedError(f"{noun}: {length:,} bytes unpacked; accepted: up to {most:,}")
 
 
-def check_whole(path: Path, noun: str, length: int) -> None:
+def check_whole(path: Path, noun: str, length: int, factor: int = _MAX_WHOLE_FACTOR) -> None:
     """Refuse a file whose parts together would unpack to far more than its size."""
-    check_length(f"its {noun} together", length, max(_MAX_WHOLE_BYTES, _MAX_WHOLE_FACTOR * path.stat().st_size))
+    check_length(f"its {noun} together", length, max(_MAX_WHOLE_BYTES, factor * path.stat().st_size))
+
+
+def check_arrays(path: Path, length: int) -> None:
+    """Refuse a file whose arrays, which are all in memory at once, would unpack to far more than its size."""
+    check_whole(path, "arrays", length, _MAX_ARRAYS_FACTOR)
 
 
 def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -58,7 +64,7 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """
     with library_errors():
         with zipfile.ZipFile(path) as archive:
-            check_whole(path, "arrays", sum(member.file_size for member in archive.infolist()))
+            check_arrays(path, sum(member.file_size for member in archive.infolist()))
         with np.errstate(invalid="ignore"), np.load(path, allow_pickle=False) as content:
             return {name: values for name, values in content.items() if isinstance(values, np.ndarray)}
 

@@ -10,34 +10,30 @@ gear: [100, 80]                      # of motors; coupling, torque_constant, zer
 torque_constant: [0.1, 0.08]
 ```
 
-A bag needs no columns: `topic`, `names` and the keys of motors and joints. A table may contain several topics,
-as `topics: {NAME: {names: ..., position: ...}}`; without a name it is `joint_states`.
+A bag needs no columns: `topic`, `names` and the keys of motors and joints. A table is the topic `joint_states` unless
+`topic` names another one.
 
-Columns are numbers from 1 on, or names in the log's header. `exact: true`, as `rx90_bag export` writes it, takes
-numbers and times as they stand. Position, velocity and effort may each be left out. `delimiter`, `decimal` and
-`header` (its number of lines) are detected, and may be given.
+Columns are numbers from 1 on, or names in the log's header. Position, velocity and effort may each be left out.
+`delimiter` is a comma, `decimal` a point, and the first line the `header` with the names unless the map says otherwise.
 """
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
-from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import FIELDS, quantities
-from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import BagError
-from rx90_common.base.models import FileModel, NotZero, Some, not_accepted, quantity, read_model, refusal
+from rx90_common.base.models import FileModel, NotZero, not_accepted, quantity, read_model, refusal
 from rx90_common.base.quoting import plain
 
-SECONDS: Final = {"s": Fraction(1), "ms": Fraction(1, 10**3), "us": Fraction(1, 10**6), "ns": Fraction(1, 10**9)}
+TIME_UNITS: Final = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+"""What a unit of time is in ns."""
 _SCALES: Final[Mapping[str, float]] = {
     "rad": 1.0, "deg": math.pi / 180.0, "turns": 2.0 * math.pi,
     "rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0,
@@ -45,15 +41,11 @@ _SCALES: Final[Mapping[str, float]] = {
 }  # fmt: skip
 """What a unit is in rad, rad/s, Nm, A and rad/s^2."""
 DELIMITERS: Final = {";": ";", "tab": "\t", ",": ",", "space": " "}
-"""Of columns by their names in signal maps; of those that are in as many lines, the first one is taken."""
+"""Between columns, by their names in signal maps; space is any number of blanks and tabs."""
 ARRAYS: Final = (".parquet", ".npz")
 """Suffixes of logs of arrays."""
 TABLES: Final = (".csv", ".tsv", ".txt", ".dat", *ARRAYS)
 """Suffixes of logs in columns."""
-UNNAMED: Final = "joint_states"
-"""Topic of a table whose map names none."""
-_TOPIC = r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*\Z"
-_TOPICS = "topics as ROS names them, of letters, digits, _ and /, no part of which begins with a digit"
 
 _Column: TypeAlias = Annotated[
     Annotated[int, Field(ge=1, le=100_000)] | str,
@@ -119,9 +111,19 @@ class EffortColumns(FieldColumns):
     unit: Annotated[Literal["Nm", "mNm", "A", "mA", "rad/s^2"], _UNIT]
 
 
-class MessageColumns(FileModel):
-    """What becomes messages of joint states."""
+class TimeColumn(FileModel):
+    """The column of the times."""
 
+    column: _Column
+    unit: Annotated[Literal["s", "ms", "us", "ns"], Field(description="Unit of the times.")]
+
+
+class SignalMapFile(FileModel):
+    """What a log holds: columns of a table, or messages of a bag."""
+
+    topic: Annotated[
+        str | None, Field(description="JointState topic of a bag, or that of a table, joint_states by default.")
+    ] = None
     names: Annotated[
         tuple[str, ...] | None,
         Field(
@@ -135,40 +137,6 @@ class MessageColumns(FileModel):
     position: PositionColumns | None = None
     velocity: VelocityColumns | None = None
     effort: EffortColumns | None = None
-
-    @model_validator(mode="after")
-    def _check_columns(self) -> MessageColumns:
-        for name, array in self.fields.items():
-            if self.names is None:
-                raise ValueError(f"has {name} and no names; accepted: names, a list of texts")
-            for key, values in (("columns", array.columns), ("factor", array.factor)):
-                if isinstance(values, tuple) and len(values) != len(self.names):
-                    raise refusal(f"{name}.{key}", values, f"a list of {len(self.names)}, one for each name")
-        return self
-
-    @property
-    def fields(self) -> dict[str, FieldColumns]:
-        """Return the columns by what they hold."""
-        columns = {"position": self.position, "velocity": self.velocity, "effort": self.effort}
-        return {name: given for name, given in columns.items() if given is not None}
-
-    def effort_unit(self, topic: str) -> str:
-        """Return the unit of the efforts in the bag if it is not the usual one of the topic's name."""
-        unit = "" if self.effort is None else self.effort.unit.removeprefix("m")
-        return "" if unit == quantities(topic)["effort"][1] else unit
-
-
-class TimeColumn(FileModel):
-    """The column of the times."""
-
-    column: _Column
-    unit: Annotated[Literal["s", "ms", "us", "ns"], Field(description="Unit of the times.")]
-
-
-class SignalMapFile(MessageColumns):
-    """What a log holds: columns of a table, or messages of a bag."""
-
-    topic: Annotated[str | None, Field(description="JointState topic of a bag, or of a table with several.")] = None
     gear: Annotated[
         _NotZeros | None,
         Field(description="Motor turns per joint turn: says that the log holds the motors' states."),
@@ -190,7 +158,7 @@ class SignalMapFile(MessageColumns):
     torque_delay: Annotated[
         float | None,
         quantity(
-            "s", "How much later a torque acted than in the sample period that ends at its stamp.", ge=-0.05, le=0.05
+            "s", "How much later torques acted than their stamps say; negative if recorded late.", ge=-0.2, le=0.2
         ),
     ] = None
     record_time: Annotated[bool, Field(description="Whether a bag's times of recording replace the stamps.")] = False
@@ -198,37 +166,47 @@ class SignalMapFile(MessageColumns):
     rate: Annotated[
         float | None, quantity("Hz", "Rows per second, where no column holds the times.", ge=1e-3, le=1e6)
     ] = None
-    topics: Annotated[
-        Some[MessageColumns] | None,
-        Field(description="Topics of joint states, by name, of a table that holds several."),
-    ] = None
-    delimiter: Annotated[
-        Literal[",", ";", "tab", "space"] | None, Field(description="Between columns; found out if left out.")
-    ] = None
-    decimal: Annotated[Literal[".", ","] | None, Field(description="Decimal sign; found out if left out.")] = None
-    header: Annotated[int | None, Field(ge=0, le=1000, description="Lines of header; found out if left out.")] = None
-    exact: Annotated[bool, Field(description="Numbers and times are taken as they stand: NaN, any order.")] = False
+    delimiter: Annotated[Literal[",", ";", "tab", "space"], Field(description="Between columns.")] = ","
+    decimal: Annotated[Literal[".", ","], Field(description="Decimal sign.")] = "."
+    header: Annotated[
+        int, Field(ge=0, le=1000, description="Lines before the first row; the last of them has the names.")
+    ] = 1
 
     @model_validator(mode="after")
     def _check_keys(self) -> SignalMapFile:
         given = [key for key, value in (("time", self.time), ("rate", self.rate)) if value is not None]
-        if len(given) != (1 if self.by_topic else 0):
-            accepted = "one of them" if self.by_topic else f"with topics, {', '.join(FIELDS)}"
+        if len(given) != (1 if self.fields else 0):
+            accepted = "one of them" if self.fields else f"with {', '.join(FIELDS)}"
             raise ValueError(f"has {' and '.join(given) or 'none'} of time, rate; accepted: {accepted}")
-        for name, columns in self.by_topic.items():
-            if not re.search(_TOPIC, name):
-                raise ValueError(f"topics.{plain(name)} is no name of a topic; accepted: {_TOPICS}")
-            if not columns.fields:
-                raise ValueError(f"topics.{name} has no columns; accepted: one or more of {', '.join(FIELDS)}")
+        for name, array in self.fields.items():
+            if self.names is None:
+                raise ValueError(f"has {name} and no names; accepted: names, a list of texts")
+            for key, values in (("columns", array.columns), ("factor", array.factor)):
+                if isinstance(values, tuple) and len(values) != len(self.names):
+                    raise refusal(f"{name}.{key}", values, f"a list of {len(self.names)}, one for each name")
         return self
 
     @property
-    def by_topic(self) -> dict[str, MessageColumns]:
-        """Return the columns of the messages by topic."""
-        columns: dict[str, MessageColumns] = {} if self.topics is None else {**self.topics.entries}
-        if self.fields:
-            columns[UNNAMED] = self
-        return columns
+    def fields(self) -> dict[str, FieldColumns]:
+        """Return the columns by what they hold."""
+        columns = {"position": self.position, "velocity": self.velocity, "effort": self.effort}
+        return {name: given for name, given in columns.items() if given is not None}
+
+    @property
+    def columns(self) -> list[int | str]:
+        """Return all columns that are used."""
+        times = [] if self.time is None else [self.time.column]
+        return [*times, *(column for field in self.fields.values() for column in field.columns)]
+
+    @property
+    def table_topic(self) -> str:
+        """Return the topic of a table."""
+        return self.topic or "joint_states"
+
+    def effort_unit(self, topic: str) -> str:
+        """Return the unit of the efforts in the bag if it is not the usual one of the topic's name."""
+        unit = "" if self.effort is None else self.effort.unit.removeprefix("m")
+        return "" if unit == quantities(topic)["effort"][1] else unit
 
 
 MESSAGE_KEYS: Final = (
@@ -267,17 +245,6 @@ def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
             f"{plain(path)}: no signal map {plain(beside.name)} beside it; accepted: that file, or --signals FILE"
         )
     chosen = LogMapping.load(beside) if mapping is None else mapping
-    if not chosen.by_topic:
+    if not chosen.fields:
         raise BagError(f"{plain(chosen.path)}: names no columns of {plain(path)}; accepted: such as position")
     return chosen
-
-
-def exported_mapping(series: JointSeries) -> str:
-    """Return the signal map by which the CSV file of a series, as it is exported, becomes a bag again."""
-    content: dict[str, Any] = {"names": list(series.names)}
-    column = 2
-    for name in series.fields:
-        content[name] = {"columns": list(range(column, column + len(series.names))), "unit": series.units[name]}
-        column += len(series.names)
-    time = {"column": 1, "unit": "s"}
-    return yaml_text({"exact": True, "delimiter": ",", "header": 1, "time": time, "topics": {series.topic: content}})

@@ -1,96 +1,27 @@
-"""Plots of bags, one for each topic: its fields against time; for two bags both, and their difference."""
+"""A page with plots of a bag, or of two over each other: the fields of their topics against time."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple
 
-from rx90_common.bags.comparison import align as align_series
+from bokeh.plotting import figure
+
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import LogMapping
-from rx90_common.bags.reading import BagReader, read_joint_bag
+from rx90_common.bags.reading import read_joint_bag
 from rx90_common.bags.recorded import time_shift
-from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.report.style import COLOURS, INK
+from rx90_common.report.charts import chart, over_one_x
+from rx90_common.report.page import render_page
+from rx90_common.report.style import COLOURS
 
 USUAL = ("/joint_states", "/friction_states", "/rx90_controller/tracking_error")
 """What is drawn unless topics are chosen."""
-_WALL_CLOCK = 10**8 * NANOSECONDS  # later stamps, from 1973 on, are no simulated time
-
-
-class TopicLine(NamedTuple):
-    """A joint's values over the time, s, with a name for the legend."""
-
-    name: str
-    time: Array
-    values: Array
-    colour: str
-    width: float = 1.0
-    dash: Literal["solid", "dashed"] = "solid"
-
-
-class TopicPanel(NamedTuple):
-    """Lines over one axis of time, with title and label."""
-
-    title: str
-    label: str
-    lines: list[TopicLine]
-
-
-@dataclass(frozen=True, eq=False)
-class TopicPlot:
-    """A topic of one bag or of two, as it is drawn.
-
-    Attributes:
-        names: of the bags.
-        series: of each bag, with the same joints.
-        less: second less first, if there are two.
-        zero_ns: stamp from which the times are counted.
-    """
-
-    names: Sequence[str]
-    series: tuple[JointSeries, ...]
-    less: JointSeries | None
-    zero_ns: int = 0
-
-    @property
-    def time_label(self) -> str:
-        """Return the label of the axis of time."""
-        return f"time since {self.zero_ns / NANOSECONDS:.9f} s, s" if self.zero_ns else "time, s"
-
-    @property
-    def panels(self) -> list[TopicPanel]:
-        """Return a panel for each field, its differences below; the second of two bags is dashed, over wide lines."""
-        panels: list[TopicPanel] = []
-        first = self.series[0]
-        for field in first.fields:
-            label = first.quantities[field].replace(" [", ", ").removesuffix("]")
-            lines = self._lines(first, field)
-            if len(self.series) > 1:
-                second = self._lines(self.series[1], field)
-                alone = len(second) == 1
-                lines = [line._replace(name=f"{line.name}, {plain(self.names[0])}", width=2.0) for line in lines]
-                lines += [
-                    line._replace(name=f"{line.name}, {plain(self.names[1])}", colour=INK if alone else line.colour,
-                                  dash="dashed") for line in second
-                ]  # fmt: skip
-            panels.append(TopicPanel("" if panels else first.topic, label, lines))
-            if self.less is not None:
-                title = f"{self.names[1]} less {self.names[0]}"
-                panels.append(TopicPanel(title, label, self._lines(self.less, field)))
-        return panels
-
-    def _lines(self, series: JointSeries, field: str) -> list[TopicLine]:
-        time = (series.stamp_ns - self.zero_ns) / NANOSECONDS
-        return [
-            TopicLine(plain(name), time, series.fields[field][:, k], COLOURS[k % len(COLOURS)])
-            for k, name in enumerate(series.names)
-        ]
+_HEIGHT = 140
+_WIDE = 3.5  # pixels, of the line below another one
 
 
 def plot_bags(
@@ -99,52 +30,58 @@ def plot_bags(
     joints: Sequence[str] | None = None,
     align: int | str = 0,
     mapping: LogMapping | None = None,
-) -> list[TopicPlot]:
-    """Return the plots of one bag, or of two and their difference (second less first).
+) -> dict[str, list[figure]]:
+    """Return the figures of each topic of one bag, or of two over each other.
 
     Args:
         paths: one bag or two.
-        topics: of joint states; by default those of USUAL that the bags have, or else their first topic.
+        topics: of joint states; by default those of USUAL that the bags have.
         joints: names; by default all.
         align: moves the stamps of the second bag, as in `compare_bags`.
         mapping: of the columns of tables; by default the files beside them.
     """
-    there = []
-    for path in paths:
-        with BagReader(path, mapping) as bag:
-            there.append([topic.name for topic in bag.series_topics(topics)])
-    both = [name for name in there[0] if all(name in names for names in there)]
-    if not both:
-        each = (f"{plain(path)} has {listed(names)}" for path, names in zip(paths, there, strict=True))
-        raise BagError(f"no topic is in both bags: {'; '.join(each)}")
-    names = both if topics is not None else [name for name in USUAL if name in both] or both[:1]
-    bags = [read_joint_bag(path, names, mapping=mapping) for path in paths]
+    wanted = USUAL if topics is None else topics
+    bags = [read_joint_bag(path, wanted, mapping=mapping, all_there=topics is not None) for path in paths]
     if len(bags) > 1:
         bags[1] = bags[1].moved(time_shift(align, *bags))
-    words = [path.resolve().name for path in paths]
-    if len(set(words)) < len(words):
-        words = [str(path) for path in paths]
-    plots = [_topic_plot(words, [bag.one(name, joints, "say which with --joint") for bag in bags]) for name in names]
-    start = min(int(series.stamp_ns[0]) for plot in plots for series in plot.series)
-    return [replace(plot, zero_ns=start) for plot in plots] if start > _WALL_CLOCK else plots
+    names = [name for name in bags[0].series if all(bag.series.get(name) for bag in bags)]
+    if not names:
+        raise BagError(f"{listed(paths)}: nothing of {listed(wanted)}; accepted: --topic, with joint states of all")
+    labels = [path.name for path in paths]
+    if len(set(labels)) < len(labels):
+        labels = [str(path) for path in paths]
+    figures = {}
+    for name in names:
+        recorded = [bag.one(name, joints) for bag in bags]
+        figures[name] = _figures(dict(zip(labels, recorded, strict=True)))
+    return figures
 
 
-def _topic_plot(words: Sequence[str], series: Sequence[JointSeries]) -> TopicPlot:
-    """Return the plot of a topic of one bag, or of two, which have these words for names."""
-    if len(series) == 1:
-        return TopicPlot(words, (series[0],), None)
-    first, second = series
-    names = [name for name in first.names if name in second.names]
-    fields = [f for f in first.fields if f in second.fields and first.units[f] == second.units[f]]
-    if not names or not fields:
-        raise BagError(f"{plain(first.topic)}: nothing is in both bags; accepted: bags with the same joints and units")
-    first = first.select(names).only(fields)
-    second = second.select(names).only(fields)
-    alignment = align_series(first, second)
-    if not len(alignment.stamp_ns):
-        raise BagError(f"{plain(first.topic)}: no stamp is in both bags; accepted: the same times, or --align start")
-    differences = {
-        field: second.fields[field][alignment.rows_b] - first.fields[field][alignment.rows_a] for field in fields
-    }
-    less = JointSeries(first.topic, first.names, alignment.stamp_ns, **differences, effort_unit=first.effort_unit)
-    return TopicPlot(words, (first, second), less)
+def plot_page(paths: Sequence[Path], figures: Mapping[str, Sequence[figure]]) -> str:
+    """Return the text of the page with these figures of one bag or two."""
+    title = f"{' against '.join(path.resolve().name for path in reversed(paths))}: {listed(figures)}"
+    return render_page("rx90_common.bags", "bag.html.j2", title=title, paths=paths, topics=figures)
+
+
+def _figures(recorded: Mapping[str, JointSeries]) -> list[figure]:
+    """Return a figure for each field that all have; the lines of the second lie over wide ones of the first."""
+    first = next(iter(recorded.values()))
+    every = recorded.values()
+    names = [name for name in first.names if all(name in series.names for series in every)]
+    fields = [field for field in first.fields if all(series.units[field] == first.units[field] for series in every)]
+    if not names:
+        raise BagError(f"{plain(first.topic)}: no joint is in both bags; accepted: bags with the same joints")
+    start = int(first.stamp_ns[0])
+    figures = []
+    for field in fields:
+        shown = chart("", "", first.quantities[field].replace(" [", ", ").removesuffix("]"), height=_HEIGHT)
+        figures.append(shown)
+        for bag, series in recorded.items():
+            time = (series.stamp_ns - start) / NANOSECONDS
+            width = _WIDE if series is first and len(recorded) > 1 else 1.0
+            for k, joint in enumerate(names if field in series.fields else ()):
+                name = plain(f"{joint}, {bag}" if len(recorded) > 1 else joint)
+                values = series.fields[field][:, series.names.index(joint)]
+                shown.line(time, values, name=name, color=COLOURS[k % len(COLOURS)], line_width=width)
+    over_one_x(figures, f"time since {start / NANOSECONDS:.9f} s, s" if start else "time, s")
+    return figures

@@ -6,64 +6,32 @@ series.stamp_ns, series.names, series.position  # (n,), k names, (n, k)
 
 from __future__ import annotations
 
-import heapq
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import chain
-from operator import attrgetter, itemgetter
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import ConfigDict, Field
 from rosbags.typesys import Stores, get_typestore
 
 from rx90_common.bags.joint_messages import SeriesBuilder
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.limits import DamagedError
+from rx90_common.bags.limits import ZSTD_MAGIC, DamagedError, library_errors, unpack_message
 from rx90_common.bags.mapping import LogMapping, is_table
-from rx90_common.bags.storage import ACCEPTED, BagTopic, StorageFile, full_type, open_storage
+from rx90_common.bags.storage import ACCEPTED, BagTopic, StorageReader, open_storage, topic_of
 from rx90_common.bags.topics import EFFORT_UNIT, JOINT_STATE, absolute
+from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import BagError, ConfigError, located
-from rx90_common.base.models import Model, Names, read_model
-from rx90_common.base.quoting import counted, listed, plain
+from rx90_common.base.quoting import listed, plain, quoted
 
 __all__ = ["BagReader", "BagTopic", "JointSeries", "read_bag", "read_joint_states"]
 
 Progress = Callable[[int, int], None]
 """Called with how much is done, and of how much."""
 FILE = "metadata.yaml"
-_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
-
-
-class _Known(Model):
-    """The part of rosbag2's metadata that is used."""
-
-    model_config = ConfigDict(extra="ignore")
-
-
-class _TopicMetadata(_Known):
-    name: str
-    type: str
-
-
-class _TopicCount(_Known):
-    topic_metadata: _TopicMetadata
-    message_count: Annotated[int, Field(ge=0)]
-
-
-class _Information(_Known):
-    topics_with_message_count: Annotated[tuple[_TopicCount, ...], Field(strict=False)]
-    relative_file_paths: Names
-    custom_data: dict[str, Any] | None = None
-
-
-class _Metadata(_Known):
-    rosbag2_bagfile_information: _Information
-
-
 _STEP = 8192  # messages between two reports of progress
 _typestore = cache(get_typestore)
 
@@ -96,24 +64,28 @@ class BagReader:
             raise BagError(f"{plain(path)}: no such bag")
         self.effort_units: dict[str, str] = {}
         self.table: Sequence[JointSeries] = ()
-        self._storages: dict[Path, StorageFile] = {}
+        self._readers: dict[Path, StorageReader] = {}
+        self._stated: int | None = None
         self._stack = ExitStack()
 
     def __enter__(self) -> BagReader:
         if is_table(self.path):
             from rx90_common.bags.logs import read_log  # pyarrow takes a while
 
-            self.table = read_log(self.path, self._mapping).series
-            self.effort_units = {series.topic: series.effort_unit for series in self.table}
+            series = read_log(self.path, self._mapping)
+            self.table = [series]
+            self.effort_units = {series.topic: series.effort_unit}
             return self
         with ExitStack() as stack:
-            counts: Counter[tuple[str, str]] = Counter()
-            files = self._read_metadata(counts) if (self.path / FILE).exists() else []
-            for file in files or [self._storage_file()]:
+            for file in self._storage_files():
                 with self._damage(file):
-                    self._storages[file] = stack.enter_context(open_storage(file))
-            if files:
-                self._compare(counts)
+                    self._readers[file] = stack.enter_context(open_storage(file))
+            held = sum(topic.count for topic in self.topics)
+            if self._stated is not None and held != self._stated:
+                raise BagError(
+                    f"{plain(self.path)}: {FILE} says {quoted(self._stated)} messages, the storage holds {held}; "
+                    "'ros2 bag reindex' writes it anew, and each storage file can be read by its own path"
+                )
             self._stack = stack.pop_all()
         return self
 
@@ -121,27 +93,31 @@ class BagReader:
         self._stack.close()
 
     @property
-    def storage(self) -> str:
-        """Return the kind of its files: mcap, db3 or bag; of a log its suffix."""
-        kinds = sorted({storage.kind for storage in self._storages.values()})
-        return ", ".join(kinds) if kinds else self.path.suffix.lower().removeprefix(".")
-
-    @property
     def topics(self) -> list[BagTopic]:
         """Return the bag's topics by name; one with two types or two encodings occurs twice."""
-        counts: Counter[tuple[str, str, str]] = Counter()
-        for storage in self._storages.values():
-            for topic in storage.topics.values():
-                counts[topic.identity] += topic.count
-        topics = [BagTopic(name, kind, count, encoding) for (name, kind, encoding), count in counts.items()]
+        counts: Counter[BagTopic] = Counter()
+        for reader in self._readers.values():
+            for topic in map(topic_of, reader.connections):
+                counts[topic] += topic.count
+        topics = [replace(topic, count=count) for topic, count in counts.items()]
         topics += [BagTopic(series.topic, JOINT_STATE, len(series.stamp_ns)) for series in self.table]
-        return sorted(topics, key=attrgetter("identity"))
+        return sorted(topics)
 
     def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, bytes]]:
-        """Yield (topic, log time in ns, serialised message) in the order of log time."""
-        wanted = {topic.identity: topic for topic in topics}
-        parts = [self._messages(file, wanted) for file in self._storages]
-        yield from parts[0] if len(parts) == 1 else heapq.merge(*parts, key=itemgetter(1))
+        """Yield (topic, log time in ns, serialised message), file by file, in each in the order of log time."""
+        for file, reader in self._readers.items():
+            connections = [connection for connection in reader.connections if topic_of(connection) in topics]
+            by_id = {connection.id: topic_of(connection) for connection in connections}
+            read = 0
+            with self._damage(file), library_errors():
+                # To rosbags no connections are all of them.
+                for connection, log_ns, data in reader.messages(connections) if connections else ():
+                    read += 1
+                    message = unpack_message(data) if data.startswith(ZSTD_MAGIC) else data
+                    yield by_id[connection.id], log_ns, message
+                expected = sum(connection.msgcount for connection in connections)
+                if read != expected:
+                    raise DamagedError(f"{expected:,} messages should be there, {read:,} can be read")
 
     def deserialize(self, topic: BagTopic, data: bytes) -> Any:
         """Return the message as rosbags builds it."""
@@ -155,110 +131,62 @@ class BagReader:
             what = f"a message of {plain(topic.name)} is no {plain(topic.msgtype)} ({type(error).__name__})"
             raise BagError(f"{plain(self.path)}: damaged: {what}") from error
 
-    def series_topics(self, topics: Collection[str] | None = None, *, filled: bool = True) -> list[BagTopic]:
-        """Return the topics with these names, or all that hold series with messages.
-
-        Args:
-            topics: names.
-            filled: whether those with these names must have messages.
-        """
-        there = self.topics
-        by_name = {topic.name: topic for topic in there if topic.is_joint_state}
-        if topics is None:
-            chosen = [topic for topic in by_name.values() if topic.count]
-            if not chosen:
-                others = listed(topic.name for topic in there) or "nothing"
-                raise BagError(f"{plain(self.path)}: holds no joint states, only {others}")
-            return chosen
-        chosen = []
-        for name in dict.fromkeys(map(absolute, topics)):
-            if name not in by_name:
-                kinds = [plain(topic.msgtype) for topic in there if topic.name == name]
-                what = f"{plain(name)} is {kinds[0]}" if kinds else f"no topic {plain(name)}"
-                raise BagError(f"{plain(self.path)}: {what}; {series_topics_text(there)}")
-            if filled and not by_name[name].count:
-                raise BagError(f"{plain(self.path)}: no messages in {plain(name)}")
-            chosen.append(by_name[name])
-        return chosen
+    def joint_topics(self, names: Collection[str] | None = None, *, all_there: bool = False) -> list[BagTopic]:
+        """Return the topics of joint states, or those with these names; others are refused if all are to be there."""
+        by_name = {topic.name: topic for topic in self.topics if topic.is_joint_state}
+        wanted = by_name if names is None else dict.fromkeys(map(absolute, names))
+        if all_there and names is None and not any(topic.count for topic in by_name.values()):
+            present = listed(topic.name for topic in self.topics) or "nothing"
+            raise BagError(f"{plain(self.path)}: holds no joint states, only {present}")
+        for name in wanted:
+            if all_there and name not in by_name:
+                kinds = [plain(topic.msgtype) for topic in self.topics if topic.name == name]
+                fault = f"{plain(name)} is {kinds[0]}" if kinds else f"no topic {plain(name)}"
+                raise BagError(f"{plain(self.path)}: {fault}; {series_topics_text(self.topics)}")
+        return [by_name[name] for name in wanted if name in by_name]
 
     def joint_states(
         self, topics: Collection[BagTopic], progress: Progress = silent, *, record_time: bool = False
     ) -> JointBag:
         """Return the series of these topics of joint states."""
-        names = [topic.name for topic in topics]
-        if self.table:
-            series = {series.topic: [series] for series in self.table if series.topic in names}
-            return JointBag(self.path, self.topics, series)
-        builders: dict[int, SeriesBuilder] = {}  # to hash a topic takes 0.5 us
+        builders = {}
         for topic in topics:
             unit = self.effort_units.get(topic.name, "")
             deserialize = partial(self.deserialize, topic)
-            builders[id(topic)] = SeriesBuilder(topic.name, deserialize, cdr=not topic.is_ros1, effort_unit=unit)
+            builders[topic.name] = SeriesBuilder(topic.name, deserialize, cdr=not topic.is_ros1, effort_unit=unit)
+        if self.table:
+            return JointBag(self.path, self.topics, {s.topic: [s] for s in self.table if s.topic in builders})
         total = sum(topic.count for topic in topics)
         with located(plain(self.path), BagError):
             for done, (topic, log_ns, data) in enumerate(self.messages(topics), 1):
-                builders[id(topic)].add(data, log_ns if record_time else None)
+                builders[topic.name].add(data, log_ns if record_time else None)
                 if done % _STEP == 0 or done == total > _STEP:
                     progress(done, total)
-            series = dict(zip(names, (builder.build() for builder in builders.values()), strict=True))
-        return JointBag(self.path, self.topics, series)
+            return JointBag(self.path, self.topics, {name: builder.build() for name, builder in builders.items()})
 
-    def _read_metadata(self, counts: Counter[tuple[str, str]]) -> list[Path]:
-        """Return the files that metadata.yaml names; note the units of efforts, and messages by topic and type."""
+    def _storage_files(self) -> list[Path]:
+        """Return the path itself, or the files that metadata.yaml names; note what else that says."""
+        where = plain(self.path)
+        if self.path.is_file():
+            return [self.path]
+        metadata = self.path / FILE
+        if not metadata.exists():  # to open a pipe would wait for a writer
+            raise BagError(f"{where}: no bag, or without {FILE}, which 'ros2 bag reindex' writes; accepted: {ACCEPTED}")
         try:
-            metadata = read_model(_Metadata, self.path / FILE, "the metadata of a rosbag2 folder")
+            content = read_yaml(metadata)
         except ConfigError as error:
-            raise BagError(f"{plain(self.path)}: {str(error).removeprefix(f'{plain(self.path)}/')}") from error
-        information = metadata.rosbag2_bagfile_information
-        for topic in information.topics_with_message_count:
-            about = topic.topic_metadata
-            counts[about.name, full_type(about.type)] += topic.message_count
-        for key, value in (information.custom_data or {}).items():
-            if key.startswith(EFFORT_UNIT):
-                self.effort_units[key.removeprefix(EFFORT_UNIT)] = plain(value)
-        files = [self.path / PurePosixPath(file).name for file in information.relative_file_paths]
+            raise BagError(f"{where}: {str(error).removeprefix(f'{where}/')}") from error
+        with self._damage(metadata), library_errors():
+            information = content["rosbag2_bagfile_information"]
+            self._stated = information["message_count"]
+            for key, value in (information.get("custom_data") or {}).items():
+                if key.startswith(EFFORT_UNIT):
+                    self.effort_units[key.removeprefix(EFFORT_UNIT)] = plain(value)
+            files = [self.path / PurePosixPath(file).name for file in information["relative_file_paths"]]
         for file in files:
             if not file.is_file():
-                raise BagError(f"{plain(self.path)}: {plain(file.name)} is missing, which {FILE} names")
+                raise BagError(f"{where}: {plain(file.name)} is missing, which {FILE} names")
         return files
-
-    def _compare(self, counts: Counter[tuple[str, str]]) -> None:
-        """Refuse a bag that does not hold the messages of its metadata."""
-        held: Counter[tuple[str, str]] = Counter()
-        for topic in self.topics:
-            held[topic.name, topic.msgtype] += topic.count
-        for name, msgtype in sorted(key for key in counts.keys() | held.keys() if counts[key] != held[key]):
-            said = f"{counted(counts[name, msgtype], 'message')} of {plain(name)} ({plain(msgtype)})"
-            raise BagError(
-                f"{plain(self.path)}: {FILE} says {said}, the storage holds {held[name, msgtype]}; 'ros2 bag reindex' "
-                "writes it anew, and each storage file can be read by its own path"
-            )
-
-    def _storage_file(self) -> Path:
-        """Return the storage file where no metadata name them."""
-        where = plain(self.path)
-        if not self.path.is_dir():
-            if not self.path.is_file():  # to open a pipe would wait for a writer
-                raise BagError(f"{where}: no file that can be read twice; accepted: {ACCEPTED}")
-            return self.path
-        files = sorted(file for file in self.path.iterdir() if file.name.endswith(_SUFFIXES))
-        if not files:
-            raise BagError(f"{where}: not a bag, or an emptied one: no .mcap or .db3 file in it; accepted: {ACCEPTED}")
-        if len(files) > 1:
-            raise BagError(
-                f"{where}: {FILE} is missing, and there are {listed(file.name for file in files)}; accepted: one file, "
-                "or each by its path; 'ros2 bag reindex' writes the metadata of several"
-            )
-        return files[0]
-
-    def _messages(
-        self, file: Path, wanted: dict[tuple[str, str, str], BagTopic]
-    ) -> Iterator[tuple[BagTopic, int, bytes]]:
-        storage = self._storages[file]
-        topics = {key: wanted[topic.identity] for key, topic in storage.topics.items() if topic.identity in wanted}
-        with self._damage(file):
-            for key, log_ns, data in storage.messages(topics):
-                yield topics[key], log_ns, data
 
     @contextmanager
     def _damage(self, file: Path) -> Iterator[None]:
@@ -297,7 +225,7 @@ class JointBag:
             raise BagError(f"{plain(self.path)}: holds no JointState message, so it has no start to be aligned")
         return min(stamps)
 
-    def one(self, topic: str, names: Sequence[str] | None = None, remedy: str = "say which joints") -> JointSeries:
+    def one(self, topic: str, names: Sequence[str] | None = None) -> JointSeries:
         """Return the series of a topic that has these joints, in this order; by default its only one."""
         sets = self.series[topic]
         if not sets:
@@ -308,7 +236,9 @@ class JointBag:
                 return (fitting or sets)[0].select(names)
         if len(sets) > 1:
             joints = "; ".join(", ".join(map(plain, series.names)) for series in sets)
-            raise BagError(f"{plain(self.path)}: {plain(topic)} carries several sets of joints: {joints}; {remedy}")
+            raise BagError(
+                f"{plain(self.path)}: {plain(topic)} carries several sets of joints: {joints}; accepted: one"
+            )
         return sets[0]
 
     def moved(self, shift_ns: int) -> JointBag:
@@ -340,11 +270,7 @@ def read_joint_bag(
         all_there: whether topics that are not there are refused.
     """
     with BagReader(path, mapping) as bag:
-        if topics is not None and all_there:
-            wanted = bag.series_topics(topics, filled=False)
-        else:
-            names = None if topics is None else {*map(absolute, topics)}
-            wanted = [topic for topic in bag.topics if topic.is_joint_state and (names is None or topic.name in names)]
+        wanted = bag.joint_topics(topics, all_there=all_there)
         return bag.joint_states(wanted, progress, record_time=record_time)
 
 

@@ -1,7 +1,7 @@
 """Storage files of bags, mcap, sqlite3 and ROS 1: read by rosbags, after what it does not check.
 
-These are the checksum of an mcap file's summary, what chunks unpack to, deleted rows and damaged pages of a database,
-and the counts of messages.
+These are the checksum of an mcap file's summary, what chunks unpack to, damaged pages of a database, and
+the counts of messages.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ import os
 import sqlite3
 import struct
 from bz2 import BZ2Decompressor
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, Final, NamedTuple, TypeAlias
@@ -24,9 +24,9 @@ from backports import zstd
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Chunk
-from rosbags.interfaces import ConnectionExtRosbag2
+from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from rosbags.rosbag1 import Reader as Ros1Reader
-from rosbags.rosbag1.reader import Header, ReaderError, RecordType
+from rosbags.rosbag1.reader import Header, RecordType
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
@@ -38,7 +38,6 @@ from rx90_common.bags.limits import (
     check_whole,
     library_errors,
     unpack_file,
-    unpack_message,
 )
 from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.base.errors import BagError
@@ -59,23 +58,21 @@ _DECOMPRESSORS: dict[str, Callable[[], Any]] = {
     "bz2": BZ2Decompressor,
 }
 _UNPACKED = ("", "none")
-_ROWS = "SELECT count(*), min(id), max(id), max(length(data)) FROM messages"
-_Reader: TypeAlias = McapReader | Sqlite3Reader | Ros1Reader
+_LONGEST = "SELECT max(length(data)) FROM messages"
+StorageReader: TypeAlias = McapReader | Sqlite3Reader | Ros1Reader
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, order=True)
 class BagTopic:
-    """A topic as a bag lists it; `encoding` is that of its messages: cdr, or ros1, or another one."""
+    """A topic as a bag lists it; `encoding` is that of its messages: cdr, or ros1, or another one.
+
+    Topics are equal whose messages are of one kind, whatever the `count` of a file.
+    """
 
     name: str
     msgtype: str
-    count: int
+    count: int = field(compare=False)
     encoding: str = "cdr"
-
-    @property
-    def identity(self) -> tuple[str, str, str]:
-        """Return the properties that a topic must have in all files of a bag."""
-        return self.name, self.msgtype, self.encoding
 
     @property
     def is_ros1(self) -> bool:
@@ -94,44 +91,15 @@ def full_type(msgtype: str) -> str:
     return f"{package}/msg/{name}" if slash and "/" not in name else msgtype
 
 
-class StorageFile:
-    """A storage file that is open.
-
-    Attributes:
-        kind: mcap, db3 or bag.
-        topics: by its own identifiers.
-    """
-
-    def __init__(self, kind: str, reader: _Reader) -> None:
-        self.kind = kind
-        self._reader = reader
-        self.topics: dict[int, BagTopic] = {}
-        for connection in reader.connections:
-            form = connection.ext
-            encoding = form.serialization_format if isinstance(form, ConnectionExtRosbag2) else "ros1"
-            msgtype = full_type(connection.msgtype)
-            self.topics[connection.id] = BagTopic(connection.topic, msgtype, connection.msgcount, encoding)
-
-    def messages(self, keys: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
-        """Yield key of the topic, log time in ns and message, for these topics, in the order of log time.
-
-        Raises:
-            DamagedError: if they do not fit the checksums, tables and indexes of the file.
-        """
-        connections = [connection for connection in self._reader.connections if connection.id in keys]
-        read = 0
-        with library_errors():
-            # To rosbags no connections are all of them.
-            for connection, log_ns, data in self._reader.messages(connections) if connections else ():
-                read += 1
-                yield connection.id, log_ns, unpack_message(data) if data.startswith(ZSTD_MAGIC) else data
-        expected = sum(connection.msgcount for connection in connections)
-        if read != expected:
-            raise DamagedError(f"{expected:,} messages should be there, {read:,} can be read")
+def topic_of(connection: Connection) -> BagTopic:
+    """Return the topic of a connection as rosbags has it."""
+    form = connection.ext
+    encoding = form.serialization_format if isinstance(form, ConnectionExtRosbag2) else "ros1"
+    return BagTopic(connection.topic, full_type(connection.msgtype), connection.msgcount, encoding)
 
 
 @contextmanager
-def open_storage(path: Path) -> Iterator[StorageFile]:
+def open_storage(path: Path) -> Iterator[StorageReader]:
     """Open a storage file of the kind that its first bytes show; a compressed one is decompressed to a temporary file.
 
     Raises:
@@ -148,25 +116,22 @@ def open_storage(path: Path) -> Iterator[StorageFile]:
         return
     with library_errors():
         if beginning.startswith(MCAP_MAGIC):
-            kind = "mcap"
-            reader: _Reader = _open_mcap(path)
+            reader: StorageReader = _open_mcap(path)
         elif beginning.startswith(_SQLITE_MAGIC):
-            kind = "db3"
             _check_database(path)
             reader = Sqlite3Reader(Path(quote(str(path))))  # which stands in a URI there
             reader.open()
             _check_total(reader)
         elif beginning.startswith(_ROS1_MAGIC):
-            kind = "bag"
-            with path.open("rb") as stream:
-                _check_chunks(path, _ros1_chunks(stream))
             reader = Ros1Reader(path)
             reader.open()
+            with path.open("rb") as stream:
+                _check_chunks(path, _ros1_chunks(reader, stream))
         else:
             fault = "is no bag, or damaged at its beginning" if beginning else "is empty"
             raise BagError(f"{fault}; accepted: {ACCEPTED}")
     with closing(reader):
-        yield StorageFile(kind, reader)
+        yield reader
 
 
 class _PackedChunk(NamedTuple):
@@ -246,22 +211,17 @@ def _mcap_chunks(stream: BinaryIO) -> Iterator[_PackedChunk]:
         stream.seek(begin + length)
 
 
-def _ros1_chunks(stream: BinaryIO) -> Iterator[_PackedChunk]:
-    """Yield the chunks of a bag of ROS 1; what stands beside them, and a cut off end, are left to rosbags."""
-    stream.seek(len(_ROS1_MAGIC))
-    with suppress(ReaderError):
-        while True:
-            header = Header.read(stream)
-            length = int.from_bytes(stream.read(4), "little")
-            begin = stream.tell()
-            if header.get_uint8("op") == RecordType.CHUNK:
-                content = stream.read(min(length, _MAX_CHUNK_BYTES + 1))
-                yield _PackedChunk(begin, header.get_string("compression"), header.get_uint32("size"), content)
-            stream.seek(begin + length)
+def _ros1_chunks(reader: Ros1Reader, stream: BinaryIO) -> Iterator[_PackedChunk]:
+    for start, chunk in reader.chunks.items():
+        stream.seek(start)
+        header = Header.read(stream, RecordType.CHUNK)
+        stream.seek(chunk.datapos)
+        content = stream.read(min(chunk.datasize, _MAX_CHUNK_BYTES + 1))
+        yield _PackedChunk(start, header.get_string("compression"), header.get_uint32("size"), content)
 
 
 def _check_database(path: Path) -> None:
-    """Refuse a database that was not closed, whose pages are damaged, or from which rows were deleted."""
+    """Refuse a database that was not closed, or whose pages are damaged."""
     for suffix in ("-journal", "-wal"):  # reading a database with one alone would show a torn state
         with suppress(OSError):  # there is none, or its name would be too long to be one
             if Path(f"{path}{suffix}").stat().st_size:
@@ -271,12 +231,7 @@ def _check_database(path: Path) -> None:
                 )
     with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
         (verdict,) = database.execute("PRAGMA integrity_check(1)").fetchone()
-        count, first, last, longest = database.execute(_ROWS).fetchone()
+        (longest,) = database.execute(_LONGEST).fetchone()
     if verdict != "ok":
         raise DamagedError(plain(verdict))
     check_length("a message", longest or 0, MAX_MESSAGE_BYTES)
-    if count and (lost := last - min(first, 1) + 1 - count):  # rows are numbered from 1 on
-        raise DamagedError(
-            f"{lost:,} messages are gone: the last one has number {last:,}, {count:,} are there; "
-            "'ros2 bag convert' makes a bag of these"
-        )

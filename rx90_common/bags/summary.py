@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -11,48 +10,40 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.reading import BagReader, BagTopic
-from rx90_common.bags.recorded import ParameterChange, read_changes
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange.cdr_stamps import cdr_stamp_ns
 
 _GAP = 1.5  # times the median interval between two messages
-_ENOUGH_FOR_GAPS = 3
 
 
 @dataclass(frozen=True)
 class TopicSummary:
-    """The content of a topic of a bag.
+    """The content of a topic of a bag, by header.stamp of joint states, and by log time of other messages.
 
     Attributes:
         topic: topic name.
         msgtype: message type.
-        encoding: of its messages: cdr, or ros1, or another one.
         count: number of messages.
-        time: "stamp" if the following attributes use header.stamp, "log" if they use log time.
         first_ns: earliest time, None without messages.
         last_ns: latest time.
         rate: messages per second between the two, None below two different times.
         gaps: intervals between messages of more than 1.5 times the median.
-        longest_gap_ns: the longest of these, None when there is none.
-        longest_gap_at_ns: time of the message before it.
+        longest_gap_ns: the longest of these, 0 when there is none.
         backward: messages with an earlier time than the one before.
-        repeated: messages with the same time as the one before.
+        repeated: joint states with the same time as the one before.
         effort_unit: of a topic whose efforts are not in the usual unit of its name.
     """
 
     topic: str
     msgtype: str
-    encoding: str
     count: int
-    time: str
     first_ns: int | None
     last_ns: int | None
     rate: float | None
     gaps: int
-    longest_gap_ns: int | None
-    longest_gap_at_ns: int | None
+    longest_gap_ns: int
     backward: int
     repeated: int
     effort_unit: str
@@ -64,17 +55,11 @@ class BagSummary:
 
     Attributes:
         path: of the bag.
-        storage: the kind of its files: mcap, db3 or bag.
-        size: of its files in bytes.
         topics: by name.
-        changes: of parameters, in the order of the messages.
     """
 
     path: Path
-    storage: str
-    size: int
     topics: tuple[TopicSummary, ...]
-    changes: tuple[ParameterChange, ...]
 
     @property
     def count(self) -> int:
@@ -89,49 +74,34 @@ def summarise(path: Path | str, mapping: LogMapping | None = None) -> BagSummary
         if not topics:
             raise BagError(f"{plain(bag.path)}: holds no topics")
         times: dict[BagTopic, list[int]] = {topic: [] for topic in topics}
-        for topic, series in zip(topics, sorted(bag.table, key=attrgetter("topic")), strict=False):
-            times[topic] = series.stamp_ns.tolist()
         for topic, log_ns, data in bag.messages(topics):
             if topic.is_joint_state and topic.is_ros1:
                 times[topic].append(message_time_ns(bag.deserialize(topic, data).header.stamp))
             else:
                 times[topic].append(max(0, cdr_stamp_ns(data)) if topic.is_joint_state else log_ns)
-        files = [bag.path] if bag.path.is_file() else [file for file in bag.path.iterdir() if file.is_file()]
+        for series in bag.table:
+            times[topics[0]] = series.stamp_ns.tolist()
         return BagSummary(
             path=bag.path,
-            storage=bag.storage,
-            size=sum(file.stat().st_size for file in files),
-            topics=tuple(
-                _summarise(topic, np.array(times[topic], dtype=np.int64), bag.effort_units.get(topic.name, ""))
-                for topic in topics
-            ),
-            changes=() if bag.table else tuple(read_changes(path)),
+            topics=tuple(_summarise(t, np.array(times[t], np.int64), bag.effort_units.get(t.name, "")) for t in topics),
         )
 
 
 def _summarise(topic: BagTopic, times: NDArray[np.int64], effort_unit: str) -> TopicSummary:
     steps = np.diff(times)
     forward = steps[steps > 0]
-    first, last = (int(times.min()), int(times.max())) if len(times) else (None, None)
-    rate = None
-    if first is not None and last is not None and last > first:
-        rate = (len(np.unique(times)) - 1) / ((last - first) / NANOSECONDS)
-    enough = len(forward) >= _ENOUGH_FOR_GAPS
-    gaps = np.flatnonzero(steps > _GAP * float(np.median(forward))) if enough else np.zeros(0, dtype=np.intp)
-    longest = int(gaps[np.argmax(steps[gaps])]) if len(gaps) else None
+    gaps = forward[forward > _GAP * np.median(forward)] if len(forward) else forward
+    span = int(np.ptp(times)) if len(times) else 0
     return TopicSummary(
         topic=topic.name,
         msgtype=topic.msgtype,
-        encoding=topic.encoding,
         count=topic.count,
-        time="stamp" if topic.is_joint_state else "log",
-        first_ns=first,
-        last_ns=last,
-        rate=rate,
+        first_ns=int(times.min()) if len(times) else None,
+        last_ns=int(times.max()) if len(times) else None,
+        rate=(len(np.unique(times)) - 1) * NANOSECONDS / span if span else None,
         gaps=len(gaps),
-        longest_gap_ns=None if longest is None else int(steps[longest]),
-        longest_gap_at_ns=None if longest is None else int(times[longest]),
+        longest_gap_ns=int(gaps.max(initial=0)),
         backward=int((steps < 0).sum()),
-        repeated=int((steps == 0).sum()),
+        repeated=int((steps == 0).sum()) if topic.is_joint_state else 0,
         effort_unit=effort_unit,
     )

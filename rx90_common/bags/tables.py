@@ -78,25 +78,17 @@ def summary_json(summary: BagSummary) -> str:
 
 def summary_text(summary: BagSummary) -> str:
     """Return a table of the topics below one line about the whole bag."""
-    changes = [
-        f"{plain(change.node)}: {plain(change.name)} changed to {plain(change.value)}, from t = "
-        f"{_seconds(change.stamp_ns)} s on" for change in summary.changes
-    ]  # fmt: skip
-    return "\n".join([
-        f"{plain(summary.path)}: {summary.storage}, {summary.size / 1e6:.1f} MB, {counted(summary.count, 'message')}",
-        _table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics]),
-        *changes,
-    ])  # fmt: skip
+    head = f"{plain(summary.path)}: {counted(summary.count, 'message')}"
+    return f"{head}\n{_table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics])}"
 
 
 def _topic_row(topic: TopicSummary) -> tuple[str, ...]:
     remarks = []
-    if topic.longest_gap_ns is not None:
-        where = _seconds(topic.longest_gap_at_ns)
-        remarks.append(f"longest gap {topic.longest_gap_ns / NANOSECONDS:.6f} s after t = {where} s")
+    if topic.gaps:
+        remarks.append(f"longest gap {_seconds(topic.longest_gap_ns)} s")
     if topic.backward:
         remarks.append(f"time goes back {counted(topic.backward, 'time')}")
-    if topic.repeated and topic.time == "stamp":  # by log time, messages of one moment are no fault
+    if topic.repeated:
         remarks.append(counted(topic.repeated, "repeated time"))
     if topic.effort_unit:
         remarks.append(f"effort in {topic.effort_unit}")

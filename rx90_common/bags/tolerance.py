@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from typing import Final
 
 from rx90_common.bags.topics import FIELDS, absolute
@@ -15,17 +15,16 @@ GRAMMAR: Final = "[TOPIC:[JOINT:]]FIELD=VALUE"
 
 
 class Tolerances:
-    """Tolerances in rad, rad/s or Nm, of the form `[TOPIC:[JOINT:]]FIELD=VALUE`, TOPIC being * for any.
+    """Tolerances in rad, rad/s or Nm, of the form `[TOPIC:[JOINT:]]FIELD=VALUE`, TOPIC and JOINT being * for any.
 
-    The most specific one that fits decides, and among equals the last. From most to least specific: topic and joint,
-    topic, joint of any topic, field alone.
+    The last one that fits decides.
 
     Raises:
         BagError: if a text is not of that form.
     """
 
     def __init__(self, *texts: str) -> None:
-        self._values: dict[tuple[str | None, str | None, str], float] = {}
+        self._rules: list[tuple[str, str, str, float]] = []
         for text in texts:
             key, _, value = text.rpartition("=")
             *place, field = key.split(":")
@@ -36,29 +35,24 @@ class Tolerances:
             if field not in FIELDS or len(place) > 2 or not all(place) or not 0.0 <= number < math.inf:
                 accepted = f"{GRAMMAR}, e.g. joint_states:position=1e-6, VALUE >= 0"
                 raise BagError(f"tolerance {quoted(text)}; accepted: {accepted}")
-            topic = absolute(place[0]) if place and place[0] != ANY else None
-            self._values[topic, place[1] if len(place) > 1 else None, field] = number
+            topic, joint = [*place, ANY, ANY][:2]
+            self._rules.append((topic if topic == ANY else absolute(topic), joint, field, number))
 
     def of(self, topic: str, joint: str, field: str) -> float:
         """Return the tolerance for a value, 0 where none fits."""
-        for key in ((topic, joint, field), (topic, None, field), (None, joint, field), (None, None, field)):
-            if key in self._values:
-                return self._values[key]
+        for rule_topic, rule_joint, rule_field, number in reversed(self._rules):
+            if rule_topic in (ANY, topic) and rule_joint in (ANY, joint) and rule_field == field:
+                return number
         return 0.0
 
-    def check(self, topics: Collection[str], joints: Mapping[str, Collection[str]]) -> None:
-        """Refuse tolerances that fit nothing, as they are misspelt.
-
-        Args:
-            topics: the topics of both bags.
-            joints: the joints of each topic that is compared.
+    def check(self, topics: Collection[str], joints: Collection[str]) -> None:
+        """Refuse tolerances that name none of these, as they are misspelt.
 
         Raises:
-            BagError: if one names a topic of neither bag, or a joint that no compared topic has.
+            BagError: if one names another topic or joint.
         """
-        for topic, joint, _ in self._values:
-            if topic not in (None, *topics):
-                raise BagError(f"tolerance for {topic}, which is in neither bag; topics: {listed(sorted(topics))}")
-            known = {name for compared, names in joints.items() if topic in (None, compared) for name in names}
-            if joint is not None and topic in (None, *joints) and joint not in known:
-                raise BagError(f"tolerance for {joint}, which no compared topic has; joints: {listed(sorted(known))}")
+        for topic, joint, _, _ in self._rules:
+            if topic not in (ANY, *topics):
+                raise BagError(f"tolerance for {topic}, which is not compared; topics: {listed(topics)}")
+            if joint not in (ANY, *joints):
+                raise BagError(f"tolerance for {joint}, which no compared topic has; joints: {listed(sorted(joints))}")

@@ -8,20 +8,20 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from functools import cache
 from itertools import chain
+from mmap import mmap
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal, NamedTuple
 from zlib import crc32
 
 import numpy as np
-from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
@@ -35,7 +35,7 @@ from rx90_common.bags.topics import (
     absolute,
 )
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError, check_bag_name
-from rx90_common.base.quoting import plain
+from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.process.files import hidden_folder
@@ -44,20 +44,15 @@ _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata s
 _MESSAGES_AT_ONCE = 10_000  # in memory while arrays are written
 _INFINITE = QosTime(9_223_372_036, 854_775_807)
 _INTEGER = 2  # of rcl_interfaces/ParameterType
-_VALUE_ARRAYS = {"byte": np.uint8, "bool": np.bool_, "integer": np.int64, "double": np.float64}
 # Of mcap: op codes, and bytes.
 _MESSAGE = 0x05
 _CHUNK_BYTES: Final = 1 << 20  # a chunk that is larger is closed, as rosbags does
 _RECORD_HEAD: Final = 9  # op code and length
-_MESSAGE_HEAD: Final = np.dtype(
-    {
-        "names": ["code", "length", "channel", "sequence", "log_ns", "published_ns"],
-        "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8"],
-    }
-)
-# at the end of a file; a checksum of 4 bytes ends the footer
-_FOOTER_BYTES = 20
-_MAGIC_BYTES = 8
+_MESSAGE_HEAD: Final = np.dtype("u1, <u8, <u2, <u4, <u8, <u8")
+"""Op code, length of what follows, channel, sequence number, log time, time of publication."""
+# At the end of a file, before 8 bytes that say what it is: where the summary begins, and its checksum.
+_SUMMARY_BEGIN = slice(-28, -20)
+_SUMMARY_CRC = slice(-12, -8)
 
 
 class _McapBatches(McapWriter):
@@ -65,64 +60,49 @@ class _McapBatches(McapWriter):
 
     def write_many(self, channel: Int64Array, log_ns: Int64Array, messages: list[bytes]) -> None:
         """Write messages, in this order, of the channels with these numbers, int64 (n,)."""
-        length = np.fromiter(map(len, messages), np.int64, len(messages))
-        heads = np.zeros(len(messages), _MESSAGE_HEAD)
-        heads["code"] = _MESSAGE
-        heads["length"] = _MESSAGE_HEAD.itemsize - _RECORD_HEAD + length
-        heads["channel"] = channel
-        heads["log_ns"] = log_ns
-        heads["published_ns"] = log_ns
-        records = [*chain.from_iterable(zip(heads.view(f"V{heads.itemsize}").tolist(), messages, strict=True))]
-        ends = np.cumsum(_MESSAGE_HEAD.itemsize + length)
-        starts = ends - length - _MESSAGE_HEAD.itemsize
+        lengths = np.fromiter(map(len, messages), np.int64, len(messages)) + _MESSAGE_HEAD.itemsize
+        ends = np.cumsum(lengths)
         begin = 0
         while begin < len(messages):
-            moved = self.chunk.bio.tell() - starts[begin]
-            end = min(int(np.searchsorted(ends + moved, _CHUNK_BYTES, side="right")) + 1, len(messages))
-            self.chunk.bio.write(b"".join(records[2 * begin : 2 * end]))
-            times = log_ns[begin:end]
-            for noted in (self, self.chunk):
-                noted.message_start_time = min(int(times.min()), noted.message_start_time)
-                noted.message_end_time = max(int(times.max()), noted.message_end_time)
-            numbers = channel[begin:end]
-            places = starts[begin:end] + moved
-            for number in dict.fromkeys(numbers.tolist()):  # in the order of their first messages
-                those = numbers == number
-                self.chunk.msgs[number] += zip(times[those].tolist(), places[those].tolist(), strict=True)
-                self.channel_stats[number] += int(those.sum())
+            room = _CHUNK_BYTES - self.chunk.bio.tell() + ends[begin] - lengths[begin]
+            end = int(np.searchsorted(ends, room, side="right")) + 1
+            rows = slice(begin, end)
+            self._append(channel[rows], log_ns[rows], messages[rows], lengths[rows])
             if self.chunk.bio.tell() > _CHUNK_BYTES:
                 self.close_chunk()
             begin = end
 
-    def checkpoint(self) -> None:
-        """Write pending data to the file."""
-        if self.chunk.msgs:
-            self.close_chunk()
-        self.bio.flush()
+    def _append(self, channel: Int64Array, log_ns: Int64Array, messages: list[bytes], lengths: Int64Array) -> None:
+        """Write messages, whose records have these lengths, into the pending chunk."""
+        code = np.full_like(lengths, _MESSAGE)
+        columns = [code, lengths - _RECORD_HEAD, channel, np.zeros_like(lengths), log_ns, log_ns]
+        heads = np.rec.fromarrays(columns, dtype=_MESSAGE_HEAD)
+        places = self.chunk.bio.tell() + np.cumsum(lengths) - lengths
+        records = zip(heads.view(f"V{heads.itemsize}").tolist(), messages, strict=True)
+        self.chunk.bio.write(b"".join(chain.from_iterable(records)))
+        for noted in (self, self.chunk):
+            noted.message_start_time = min(int(log_ns.min()), noted.message_start_time)
+            noted.message_end_time = max(int(log_ns.max()), noted.message_end_time)
+        for number in dict.fromkeys(channel.tolist()):  # in the order of their first messages
+            those = channel == number
+            self.chunk.msgs[number] += zip(log_ns[those].tolist(), places[those].tolist(), strict=True)
+            self.channel_stats[number] += int(those.sum())
 
     def close_chunk(self) -> None:
         """Write the pending chunk, and its checksum behind the record's head, two times and a length."""
         crc = crc32(self.chunk.bio.getbuffer())
         start = self.bio.tell()
         super().close_chunk()
-        end = self.bio.tell()
         self.bio.seek(start + _RECORD_HEAD + 24)
         self.bio.write(crc.to_bytes(4, "little"))
-        self.bio.seek(end)
+        self.bio.seek(0, os.SEEK_END)
 
     def close(self, version: int, metadata: str) -> None:
         """Write the summary and its checksum, and close the file."""
         super().close(version, metadata)
-        with self.path.open("r+b") as stream:
-            stream.seek(-_FOOTER_BYTES - _MAGIC_BYTES, 2)
-            stream.seek(int.from_bytes(stream.read(8), "little"))  # where the summary begins
-            crc = crc32(stream.read()[: -4 - _MAGIC_BYTES])
-            stream.seek(-4 - _MAGIC_BYTES, 2)
-            stream.write(crc.to_bytes(4, "little"))
-
-
-class _BatchWriter(Writer):
-    STORAGE_PLUGINS = {StoragePlugin.MCAP: _McapBatches}  # noqa: RUF012 - as in rosbags
+        with self.path.open("r+b") as stream, mmap(stream.fileno(), 0) as content:
+            summary = content[int.from_bytes(content[_SUMMARY_BEGIN], "little") : _SUMMARY_CRC.start]
+            content[_SUMMARY_CRC] = crc32(summary).to_bytes(4, "little")
 
 
 @cache
@@ -146,7 +126,7 @@ def offered_qos(*, reliable: bool = True, transient_local: bool = False) -> Qos:
     )
 
 
-class BagWriter:
+class BagWriter(Writer):
     """A new rosbag2 folder, open from the start; `close()`, or leaving its context, makes it a valid bag.
 
     An error within its context before anything was written is a refusal: no folder stays. Equal calls give equal files,
@@ -154,111 +134,65 @@ class BagWriter:
 
     Args:
         path: folder to make; must not exist.
-        named: final name of a bag that is renamed when it is complete; an incomplete one is removed.
+        named: the name that it will get, for messages.
 
     Raises:
         BagWriteError: if the disk is full.
     """
 
-    def __init__(self, path: Path | str, *, named: Path | None = None) -> None:
-        self.path = Path(path)
-        self._named = named or self.path
-        self._stays = named is None
-        check_bag_name(self.path)
-        self._second = 0  # of the newest log time
-        self._opened = False
-        self._closed = False
-        self._has_messages = False
-        self._above = [folder for folder in self.path.parents if not folder.exists()]  # made with it
-        with self._failures():
-            self._writer = _BatchWriter(
-                self.path, version=_BatchWriter.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP
-            )
-            self._writer.open()
-        self._opened = True
+    STORAGE_PLUGINS = {StoragePlugin.MCAP: _McapBatches}  # noqa: RUF012 - as in rosbags
+
+    def __init__(self, path: Path, *, named: Path | None = None) -> None:
+        self._named = named or path
+        check_bag_name(self._named)
+        with _failures(self._named):
+            super().__init__(path, version=9, storage_plugin=StoragePlugin.MCAP)
+            self.open()
 
     def __enter__(self) -> BagWriter:
         return self
 
-    def __exit__(self, _kind: object, error: object, _trace: object) -> None:
+    def __exit__(self, _kind: object, error: object, _trace: object) -> Literal[False]:
         if error is None:
             self.close()
-        else:
-            with suppress(BagError):  # the first error is the one to report
-                self.close()
-            if not self._has_messages:
-                shutil.rmtree(self.path, ignore_errors=True)
-                with suppress(OSError):
-                    for folder in self._above:
-                        folder.rmdir()
+            return False
+        with suppress(BagError):  # the first error is the one to report
+            self.close()
+        if not any(self.counts.values()):
+            shutil.rmtree(self.path, ignore_errors=True)
+        return False
 
-    def add_topic(self, topic: str, msgtype: str, qos: Sequence[Qos] = (), definition: str = "") -> Connection:
-        """Announce a topic and return its connection, whose `id` `write_many` wants.
+    def add_topic(self, topic: str, msgtype: str, qos: Qos, types: Typestore | None = None) -> int:
+        """Announce a topic and return its number, as `write_many` wants it.
 
         Args:
             topic: its name.
-            msgtype: a type of the common interfaces, or of the definition.
+            msgtype: name of its type.
             qos: quality of service that its publishers offer.
-            definition: the text of its .msg file, and behind it of those that it uses, as bags have it.
-
-        Raises:
-            BagWriteError: if the disk is full.
+            types: knows the type; by default the common interfaces.
         """
-        types = typestore()
-        if definition and msgtype not in types.fielddefs:
-            types = get_typestore(Stores.ROS2_JAZZY)
-            types.register(get_types_from_msg(definition, msgtype))
-        if msgtype not in types.fielddefs:
-            raise BagError(f"{absolute(topic)} has type {msgtype}; accepted: types of ROS 2's common interfaces")
-        with self._failures():
-            return self._writer.add_connection(absolute(topic), msgtype, typestore=types, offered_qos_profiles=qos)
-
-    def say_unit(self, topic: str, effort_unit: str) -> None:
-        """Say in the metadata in which unit a topic's efforts are, where it is not the usual one."""
-        if effort_unit:
-            self._writer.set_custom_data(f"{EFFORT_UNIT}{absolute(topic)}", effort_unit)
+        types = types or typestore()
+        return self.add_connection(absolute(topic), msgtype, typestore=types, offered_qos_profiles=[qos]).id
 
     def write_many(self, number: Int64Array, log_ns: Int64Array, messages: list[bytes]) -> None:
-        """Write serialised messages in this order; a checkpoint follows the first one of each second.
+        """Write serialised messages in this order.
 
         Args:
-            number: of the connection of each, as in its `id`, int64 (n,).
+            number: of the topic of each, int64 (n,).
             log_ns: log times, int64 (n,).
-            messages: n messages.
+            messages: n messages, at least one.
 
         Raises:
-            BagWriteError: if the disk is full or nearly so, or writing fails otherwise.
+            BagWriteError: if the disk is full or nearly so.
         """
-        second = np.maximum.accumulate(np.append(self._second, log_ns // NANOSECONDS))
-        stops = np.flatnonzero(np.diff(second)) + 1
-        writer = self._writer
-        storage: Any = writer.storage
-        begin = 0
-        for end in dict.fromkeys([*stops.tolist(), len(messages)]):
-            rows = slice(begin, end)
-            begin = end
-            if not messages[rows]:
-                continue
-            self._has_messages = True
-            with self._failures():
-                storage.write_many(number[rows], log_ns[rows], messages[rows])
-                writer.min_timestamp = min(writer.min_timestamp, int(log_ns[rows].min()))
-                writer.max_timestamp = max(writer.max_timestamp, int(log_ns[rows].max()))
-                for connection, count in zip(*np.unique(number[rows], return_counts=True), strict=True):
-                    writer.counts[int(connection)] += int(count)
-                if end in stops:
-                    storage.checkpoint()
-                self._check_space(int(log_ns[end - 1]))
-        self._second = int(second[-1])
-
-    def _check_space(self, last_ns: int) -> None:
-        free = shutil.disk_usage(self.path).free
+        storage: Any = self.storage
+        with _failures(self._named):
+            storage.write_many(number, log_ns, messages)
+            free = shutil.disk_usage(self.path).free
         if free < _RESERVE_BYTES:
-            whole = "; what was written is whole" if self._stays else ""
-            raise BagWriteError(
-                f"{plain(self._named)}: stopped at t = {last_ns / NANOSECONDS:.6f} s, as the disk is nearly "
-                f"full ({free >> 20} MiB left; accepted: {_RESERVE_BYTES >> 20} MiB or more){whole}"
-            )
+            room = f"{free >> 20} MiB left; accepted: {_RESERVE_BYTES >> 20} MiB or more"
+            when = f"t = {log_ns[-1] / NANOSECONDS:.6f} s"
+            raise BagWriteError(f"{plain(self._named)}: stopped at {when}, as the disk is nearly full ({room})")
 
     def close(self) -> None:
         """Write index and metadata. A second call does nothing.
@@ -266,85 +200,70 @@ class BagWriter:
         Raises:
             BagWriteError: if that fails; data written before stay.
         """
-        if self._closed:
+        storage: Any = self.storage
+        if storage is None:
             return
-        self._closed = True
-        with self._failures():
+        self.counts.update(storage.channel_stats)
+        self.min_timestamp = storage.message_start_time
+        self.max_timestamp = storage.message_end_time
+        with _failures(self._named):
             try:
-                self._writer.close()
-            except (WriterError, OSError):
-                with suppress(OSError):
-                    self._writer.abort()
-                raise
-
-    @contextmanager
-    def _failures(self) -> Iterator[None]:
-        try:
-            yield
-        except WriterError as error:
-            raise BagError(plain(error, 1000)) from error
-        except OSError as error:
-            # What is refused before anything is written is the user's to mend: another folder, another name.
-            failed = self._opened or error.errno in DISK_ERRORS
-            half = "; what was written before stays" if self._opened and self._stays else ""
-            text = f"{plain(self._named)}: cannot be written ({error.strerror}){half}"
-            raise (BagWriteError if failed else BagError)(text) from error
+                super().close()
+            finally:
+                self.abort()
 
 
-@dataclass(frozen=True)
-class RawMessage:
-    """A message of any type for `write_joint_states`.
+@contextmanager
+def _failures(path: Path) -> Iterator[None]:
+    """Say in a line why a bag or a table cannot be written."""
+    try:
+        yield
+    except (FileExistsError, WriterError) as error:
+        raise BagError(f"{plain(path)} exists already, not overwriting.") from error
+    except OSError as error:
+        kind = BagWriteError if error.errno in DISK_ERRORS else BagError
+        raise kind(f"{plain(path)}: cannot be written ({error.strerror})") from error
 
-    Attributes:
-        topic: topic name.
-        msgtype: e.g. std_msgs/msg/String.
-        log_ns: log time in ns.
-        cdr: the serialised message.
-        transient_local: whether its publisher keeps it for those who come late.
-    """
+
+class SingleMessage(NamedTuple):
+    """A latched message of any type, as rosbags makes it, for `write_joint_states`; log time in ns."""
 
     topic: str
-    msgtype: str
     log_ns: int
-    cdr: bytes
-    transient_local: bool = False
+    message: Any
+
+    @property
+    def cdr(self) -> bytes:
+        """Return the serialised message."""
+        return bytes(typestore().serialize_cdr(self.message, self.message.__msgtype__))
 
 
-def _latched(topic: str, msgtype: str, log_ns: int, message: Any) -> RawMessage:
-    return RawMessage(topic, msgtype, log_ns, bytes(typestore().serialize_cdr(message, msgtype)), transient_local=True)
+def string_message(topic: str, text: str) -> SingleMessage:
+    """Return a std_msgs/String, such as robot_description."""
+    return SingleMessage(topic, 0, typestore().types[STRING](data=text))
 
 
-def string_message(topic: str, text: str) -> RawMessage:
-    """Return a latched std_msgs/String, such as robot_description."""
-    return _latched(topic, STRING, 0, typestore().types[STRING](data=text))
-
-
-def parameters_message(topic: str, node: str, values: Mapping[str, int]) -> RawMessage:
-    """Return the latched rcl_interfaces/ParameterEvent of a node with whole numbers at the start of its run."""
+def parameter_message(topic: str, node: str, name: str, number: int) -> SingleMessage:
+    """Return the rcl_interfaces/ParameterEvent of a node with a whole number at the start of its run."""
     types = typestore().types
-    empty: dict[str, Any] = {f"{kind}_array_value": np.zeros(0, dtype) for kind, dtype in _VALUE_ARRAYS.items()}
-    new = []
-    for name, number in values.items():
-        value = types["rcl_interfaces/msg/ParameterValue"](
-            type=_INTEGER, bool_value=False, integer_value=number, double_value=0.0, string_value="",
-            string_array_value=[], **empty,
-        )  # fmt: skip
-        new.append(types["rcl_interfaces/msg/Parameter"](name, value))
-    message = types[PARAMETER_EVENT](types["builtin_interfaces/msg/Time"](0, 0), node, new, [], [])
-    return _latched(topic, PARAMETER_EVENT, 0, message)
+    no_arrays = [np.empty(0)] * 4
+    value = types["rcl_interfaces/msg/ParameterValue"](_INTEGER, False, number, 0.0, "", *no_arrays, [])
+    new = [types["rcl_interfaces/msg/Parameter"](name, value)]
+    zero = types["builtin_interfaces/msg/Time"](0, 0)
+    return SingleMessage(topic, 0, types[PARAMETER_EVENT](zero, node, new, [], []))
 
 
-def trajectory_message(topic: str, start_ns: int, content: dict[str, Any]) -> RawMessage:
-    """Return a latched trajectory_msgs/JointTrajectory that starts at `start_ns`, from its content as YAML has it."""
+def trajectory_message(topic: str, start_ns: int, content: dict[str, Any]) -> SingleMessage:
+    """Return a trajectory_msgs/JointTrajectory that starts at `start_ns`, from its content as YAML has it."""
     types = typestore().types
     points = []
     for values in content["points"]:
-        vectors = (np.array(values.get(name) or [], dtype=np.float64) for name in POINT_FIELDS)
+        vectors = [np.array(values.get(name) or [], dtype=np.float64) for name in POINT_FIELDS]
         since = types["builtin_interfaces/msg/Duration"](**values["time_from_start"])
         points.append(types["trajectory_msgs/msg/JointTrajectoryPoint"](*vectors, since))
     stamp = types["builtin_interfaces/msg/Time"](*divmod(start_ns, NANOSECONDS))
-    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
-    return _latched(topic, JOINT_TRAJECTORY, start_ns, types[JOINT_TRAJECTORY](header, content["joint_names"], points))
+    header = types["std_msgs/msg/Header"](stamp, "")
+    return SingleMessage(topic, start_ns, types[JOINT_TRAJECTORY](header, content["joint_names"], points))
 
 
 @contextmanager
@@ -352,50 +271,32 @@ def named_at_the_end(path: Path) -> Iterator[Path]:
     """Yield a new folder for a file or folder of this name and its companions; then these are moved to their places.
 
     Raises:
+        BagError: if one of them exists by then.
         BagWriteError: if the disk is full.
     """
-    missing_folders = [folder for folder in path.parents if not folder.exists()]
-    try:
-        if os.path.lexists(path):
-            raise FileExistsError
+    with _failures(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with hidden_folder(path) as folder:
             yield folder
-            for made in folder.iterdir():
-                target = path.parent / made.name
-                try:
-                    if made.is_dir():
-                        made.rename(target)
-                    else:  # a file that another process has written meanwhile stays
-                        os.link(made, target)
-                except OSError:  # also of a file system without hard links
-                    if os.path.lexists(target):
-                        raise
-                    made.rename(target)
-    except OSError as error:
-        if os.path.lexists(path):  # also if somebody else was faster
-            raise BagError(f"{plain(path)} exists already, not overwriting.") from error
-        kind = BagWriteError if error.errno in DISK_ERRORS else BagError
-        raise kind(f"{plain(path)}: cannot be written ({error.strerror})") from error
-    finally:
-        with suppress(OSError):  # the folders of the new file
-            for folder in missing_folders:
-                folder.rmdir()
+            targets = {made: path.parent / made.name for made in folder.iterdir()}
+            if any(os.path.lexists(target) for target in targets.values()):
+                raise FileExistsError
+            for made, target in targets.items():
+                made.rename(target)
 
 
 def write_joint_states(
     path: Path | str,
     series: Sequence[JointSeries],
     *,
-    messages: Sequence[RawMessage] = (),
+    messages: Sequence[SingleMessage] = (),
 ) -> None:
     """Write a bag as if nodes had published these series and the recorder had recorded them.
 
     It is written beside its place and renamed at the end: an interrupt, a kill or a full disk
     leaves no part of a bag under that name.
 
-    The messages are in the order of log time, which is their stamp; at equal times in the order of
-    `series`, then of `messages`.
+    The log time of a series' message is its stamp. The further messages come first in the file: readers go by log time.
 
     Args:
         path: folder to make; must not exist.
@@ -410,33 +311,31 @@ def write_joint_states(
     path = Path(path)
     topics = [absolute(part.topic) for part in series]
     if len(set(topics)) != len(topics):
-        raise BagError(f"{path}: topics {', '.join(topics)}; accepted: each topic once")
-    check_bag_name(path)
+        raise BagError(f"{plain(path)}: topics {listed(topics)}; accepted: each topic once")
     with named_at_the_end(path) as folder, BagWriter(folder / path.name, named=path) as bag:
-        numbers = [bag.add_topic(topic, JOINT_STATE, [offered_qos()]).id for topic in topics]
-        for part in series:
-            bag.say_unit(part.topic, part.effort_unit)
-        numbers_of: dict[str, int] = {}
-        for message in messages:
-            if message.topic not in numbers_of:
-                qos = offered_qos(transient_local=message.transient_local)
-                numbers_of[message.topic] = bag.add_topic(message.topic, message.msgtype, [qos]).id
-        encoders: list[Callable[[Int64Array], list[bytes]]] = [*map(_encoder, series)]
-        encoders.append(lambda rows: [messages[row].cdr for row in rows.tolist()])
-        stamps = [*(part.stamp_ns for part in series), np.array([message.log_ns for message in messages], np.int64)]
-        counts = [len(stamp) for stamp in stamps]
-        log_ns = np.concatenate(stamps)
-        source = np.repeat(np.arange(len(counts)), counts)
-        row = np.concatenate([np.arange(count) for count in counts])
-        number = np.repeat(numbers, counts[:-1])
-        number = np.concatenate([number, [numbers_of[message.topic] for message in messages]]).astype(np.int64)
+        numbers = [bag.add_topic(topic, JOINT_STATE, offered_qos()) for topic in topics]
+        for topic, part in zip(topics, series, strict=True):
+            if part.effort_unit:
+                bag.set_custom_data(f"{EFFORT_UNIT}{topic}", part.effort_unit)
+        latched: dict[str, int] = {}
+        for single in messages:
+            if single.topic not in latched:
+                qos = offered_qos(transient_local=True)
+                latched[single.topic] = bag.add_topic(single.topic, single.message.__msgtype__, qos)
+            bag.write_many(np.array([latched[single.topic]]), np.array([single.log_ns]), [single.cdr])
+        encoders = [_encoder(part) for part in series]
+        counts = [len(part.stamp_ns) for part in series]
+        log_ns = np.concatenate([np.empty(0, dtype=np.int64), *(part.stamp_ns for part in series)])
+        source = np.repeat(np.arange(len(series)), counts)
+        first_rows = np.cumsum(counts) - counts
         order = np.argsort(log_ns, kind="stable")
         for begin in range(0, len(order), _MESSAGES_AT_ONCE):
             rows = order[begin : begin + _MESSAGES_AT_ONCE]
             block = np.empty(len(rows), dtype=object)
             for k, encode in enumerate(encoders):
-                block[source[rows] == k] = encode(row[rows[source[rows] == k]])
-            bag.write_many(number[rows], log_ns[rows], block.tolist())
+                of_series = source[rows] == k
+                block[of_series] = encode(rows[of_series] - first_rows[k])
+            bag.write_many(np.array(numbers)[source[rows]], log_ns[rows], block.tolist())
 
 
 def _encoder(series: JointSeries) -> Callable[[Int64Array], list[bytes]]:

@@ -3,8 +3,9 @@
 One part imitates another that is missing, so that neither can be judged alone: all combinations of parts are fitted,
 each to all elements at once, and each block of rows is predicted by the fit to the other blocks. An element gets the
 smallest combination from which no larger one lowers the squares on its rows by more than one standard error over the
-blocks (the one-standard-error rule of Breiman et al. 1984). A combination with a parameter at a bound is none. A rise whose omega_s is near the top speed is a slope, which
-the viscous exponent has as well: it stays only where friction falls with speed.
+blocks (the one-standard-error rule of Breiman et al. 1984). A combination with a parameter at a bound is none. A rise
+whose omega_s is near the top speed is a slope, which the viscous exponent has as well: it stays only where friction
+falls with speed.
 
 A bristle acts after a reversal, as a rise does, and each alone imitates the other: it is tried last, where a rise was
 found.

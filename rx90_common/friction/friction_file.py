@@ -47,7 +47,7 @@ class FrictionFile(FileModel):
         Joints,
         Field(
             description="What torques hold beside links and friction, by joint, where no drives file says it. The "
-            "simulation takes nothing of it; rx90_identify --friction adds it to what the URDF predicts."
+            "simulation takes nothing of it; rx90 identify check adds it to what the URDF predicts."
         ),
     ] = Joints()
     identification: Annotated[

@@ -29,11 +29,11 @@ _started: WeakSet[ChildProcess] = WeakSet()
 
 
 def executable(name: str, *arguments: object) -> list[str]:
-    """Return the command that runs one of the package's executables with this Python, its output unbuffered.
+    """Return the command that runs an executable, or `rx90 VERB`, with this Python, its output unbuffered.
 
     By the path of the entry: with -m, modules of the working folder would come before all others, also before Python's.
     """
-    return [sys.executable, "-u", str(ROOT / PACKAGE / "__main__.py"), name, *map(str, arguments)]
+    return [sys.executable, "-u", str(ROOT / PACKAGE / "__main__.py"), *name.split(), *map(str, arguments)]
 
 
 class ChildProcess:

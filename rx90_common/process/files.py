@@ -151,3 +151,22 @@ def check_output() -> None:
         errors=before.errors if before.encoding.lower() == "utf-8" else "backslashreplace",
         line_buffering=bool(before.line_buffering or getattr(before, "write_through", False)),  # python -u
     )
+
+
+@contextmanager
+def made_folder(folder: Path) -> Iterator[Path]:
+    """Make a folder, with those above it, unless it is there; one that stays empty is removed again.
+
+    Raises:
+        OutputError: for a place where none can be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise write_error(folder, error) from error
+    try:
+        yield folder
+    finally:
+        # An empty folder would block the next attempt.
+        with suppress(OSError):
+            folder.rmdir()

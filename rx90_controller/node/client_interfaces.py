@@ -5,7 +5,6 @@ To be imported only if control_msgs is installed.
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -33,6 +32,7 @@ from rx90_common.exchange.endpoints import LATCHED_QOS, REQUEST_QOS, STATE_QOS, 
 from rx90_common.exchange.pacing import error_log
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.node.servo_loop import ServoLoop
+from rx90_controller.servo.events import Cancel, GiveUp
 from rx90_controller.trajectory.request import Feedback, State, TrajectoryRequest
 
 _WATCH_PERIOD = 0.5  # s between two looks for the simulation, while there is a goal
@@ -132,7 +132,7 @@ class ClientInterfaces:
         """End the active goal because the node ends, and send its result; take no other."""
         with self._checking:
             self._ending, ending = True, set(self._goals)
-            self._loop.drop(_ENDS)
+            self._loop.post(GiveUp(_ENDS))
         self._loop.report()
         executor = self._node.executor
         until = time.monotonic() + _RESULT_GRACE
@@ -167,7 +167,7 @@ class ClientInterfaces:
             self._goals[bytes(handle.goal_id.uuid)] = goal
             self._loop.offer(goal)
             if self._ending:
-                self._loop.drop(_ENDS)
+                self._loop.post(GiveUp(_ENDS))
 
     def _on_result_request(self, name: bytes) -> None:
         if name in self._goals or self._ending:
@@ -177,22 +177,21 @@ class ClientInterfaces:
         """Cancel a goal; where its end is on the way already, its client gets that."""
         goal = self._goals.get(bytes(handle.goal_id.uuid))
         if goal is not None:
-            self._loop.cancel(goal)
+            self._loop.post(Cancel(goal))
         return CancelResponse.ACCEPT
 
     def _watch_simulation(self) -> None:
         """Abort the goal if its simulation no longer exists."""
         now = time.monotonic()
-        if not self._loop.has_goal or self._channel.matches().publishers > 0:
+        if not self._loop.state.has_goal or self._channel.matches().publishers > 0:
             self._simulation_seen = now
         elif now - self._simulation_seen > _SIMULATION_TIMEOUT:
-            self._loop.drop(f"the simulation is gone, for more than {_SIMULATION_TIMEOUT:g} s", halt=True)
+            self._loop.post(GiveUp(f"the simulation is gone, for more than {_SIMULATION_TIMEOUT:g} s", halt=True))
 
     def _on_scaling(self, message: SpeedScalingFactor) -> None:
         """Follow trajectories at the requested share of their speed, from now on."""
         try:
-            with self._loop.between_ticks:
-                self._cs7b.trajectory.set_speed_scaling(message.factor, self._cs7b.position_tick)
+            self._loop.scale_speed(message.factor)
         except TrajectoryError as error:
             self._complaints.say("factor", f"{error}; ignored")
             return
@@ -204,17 +203,15 @@ class ClientInterfaces:
         self, request: QueryTrajectoryState.Request, response: QueryTrajectoryState.Response
     ) -> QueryTrajectoryState.Response:
         """Answer with the set-point at a past or future time of the running trajectory."""
-        trajectory = self._cs7b.trajectory
         tick = message_time_ns(request.time) / self._tick_ns
         response.name = self._names
-        with self._loop.between_ticks:
-            reason = self._loop.inactive or ("" if self._loop.running else "no states have come yet")
-            try:
-                state = trajectory.state(tick)
-                moving = trajectory.moving(math.ceil(tick) - 1)
-            except TrajectoryError as error:
-                response.message = reason or str(error)
-                return response
+        present = self._loop.state
+        reason = present.switch.refusal or ("" if present.started else "no states have come yet")
+        try:
+            (state, moving) = self._loop.query(tick)
+        except TrajectoryError as error:
+            response.message = reason or str(error)
+            return response
         response.position, response.velocity, response.acceleration = state.tolist()
         if not moving:
             reason = reason or f"time {tick * self._tick_ns * 1e-9:.6g} s; accepted: up to the end of the motion"

@@ -63,8 +63,9 @@ from rx90_controller.node.parameters import (
     unused_parameters,
 )
 from rx90_controller.node.serving import Serving
-from rx90_controller.node.servo_loop import INACTIVE, ServoLoop
+from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.node.simulation_mode import SimulationMode
+from rx90_controller.servo.events import TorqueSwitch
 from rx90_controller.trajectory.points import check_trajectory_bytes
 from rx90_controller.trajectory.stream import from_message
 
@@ -144,14 +145,14 @@ class Control:
         self._detail_ns = tick_ns * parameters.slow_topics_every_n_ticks
         self._accepted = node.create_publisher(JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS)
         self.loop = loop = ServoLoop(cs7b, self, parameters.max_seconds_ahead, monitor_ticks)
-        loop.active = loop.enabled = False
+        loop.post(TorqueSwitch(on=False, by_node=True))
         node.changes.allow(
             law_names(node), lambda values: law_of(of_file, values).record(robot, drives, rates), loop.change_law
         )
         loop.options = parameters.options
         loop.tolerances = parameters.tolerances
-        loop.streaming = parameters.stream
-        cs7b.trajectory.set_speed_scaling(parameters.speed_scaling.initial_scaling_factor, cs7b.position_tick)
+        loop.servo.streaming = parameters.stream
+        loop.scale_speed(parameters.speed_scaling.initial_scaling_factor)
         self._report = node.create_guard_condition(loop.report)
         self._pacer = pacer = Pacer(rates.period, 1.0)
         self.serving = Serving(channel, motor, rates, loop, pacer, name, self.info, self.error, local=local)
@@ -176,7 +177,7 @@ class Control:
             *([] if self.clients is None else [self.clients.publisher]),
             channel.publisher,
         )
-        allow_goal_changes(node, cs7b, loop)
+        allow_goal_changes(node, cs7b.joint_names, loop)
         self._reported = (0, time.monotonic())  # tick and time of the last status
         self._diagnostics = Diagnostics(node, self._status)
 
@@ -263,22 +264,22 @@ class Control:
         loop = self.loop
         names = self._cs7b.joint_names
         some = loop.options.allow_partial_joints_goal
-        loop.receive_stream(lambda: from_message(names, message, loop.streaming, partial=some), source)
+        loop.receive_stream(lambda: from_message(names, message, loop.servo.streaming, partial=some), source)
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        if request.data and not self.loop.active:
-            response.message = INACTIVE
-            return response
-        self.loop.enable(request.data)
-        response.success = True
-        response.message = "torque on" if request.data else "torque off, brakes closed"
-        self._log.info(response.message)
+        refusal = self.loop.enable(request.data)
+        response.success = not refusal
+        response.message = refusal or ("torque on" if request.data else "torque off, brakes closed")
+        if response.success:
+            self._log.info(response.message)
         return response
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
         """Return level, message and values of how law, loops and ticks go, once a second, for `Diagnostics`."""
         cs7b = self._cs7b
-        loop = self.loop
+        state = self.loop.state
+        switch = state.switch
+        servo = self.loop.servo
         counts = self._pacer.take()
         (tick, at) = self._reported
         self._reported = (cs7b.tick, time.monotonic())
@@ -288,10 +289,10 @@ class Control:
             "controller time, s": f"{cs7b.tick * cs7b.rates.period:.3f}",
             "rate, Hz": f"{max(0.0, (now_tick - tick) / (now - at)):.1f}",  # 0 over a reset
             "saturated ticks": " ".join(str(n) for n in cs7b.saturated),
-            "rejected trajectories": str(loop.rejected),
-            "last rejection": loop.last_rejection or "none",
-            "stream": loop.stream or "none",
-            "enabled": "true" if loop.enabled else "false",
+            "rejected trajectories": str(servo.rejected),
+            "last rejection": servo.last_rejection or "none",
+            "stream": "none" if state.stream is None else state.stream.summary,
+            "enabled": "true" if switch.on else "false",
         }
         if self.serving.mode == FREE_RUNNING:
             values |= {
@@ -299,14 +300,15 @@ class Control:
                 "late ticks": str(counts.late),
                 "dropped ticks": str(counts.dropped),
             }
-        if loop.fault is not None:
-            return DiagnosticStatus.ERROR, f"{loop.fault}; torque off, brakes closed", values
-        if not loop.running:
+        if switch.fault is not None:
+            return DiagnosticStatus.ERROR, f"{switch.fault}; torque off, brakes closed", values
+        if not state.started:
             return DiagnosticStatus.WARN, "waiting for the simulation", values
-        if not loop.active:
+        if not switch.active:
             return DiagnosticStatus.OK, "inactive", values
-        moving = cs7b.trajectory.moving(cs7b.position_tick)
-        doing = "following a stream" if loop.stream else "following a trajectory" if moving else "holding"
+        if state.stream is not None:
+            return DiagnosticStatus.OK, "following a stream", values
+        doing = "following a trajectory" if servo.moving else "holding"
         return DiagnosticStatus.OK, doing, values
 
 
@@ -352,12 +354,12 @@ class ControllerNode:
     def activate(self) -> None:
         """Give the motors torque: hold the arm, follow trajectories."""
         if self._control is not None:
-            self._control.loop.activate(True)
+            self._control.loop.post(TorqueSwitch(on=True, by_node=True))
 
     def deactivate(self) -> None:
         """End the motion; torque off, brakes closed. Ticks are still answered, and time goes on."""
         if self._control is not None:
-            self._control.loop.activate(False)
+            self._control.loop.post(TorqueSwitch(on=False, by_node=True))
             self._control.loop.report()
             self.node.get_logger().info("inactive: torque off, brakes closed")
 

@@ -91,7 +91,7 @@ class ManagerServices:
     # What there is.
 
     def _list_controllers(self, _: Any, response: ListControllers.Response) -> ListControllers.Response:
-        active = self._loop.active
+        active = self._loop.state.switch.active
         state = ControllerState(
             name=self._name,
             state="active" if active else "inactive",
@@ -111,7 +111,7 @@ class ManagerServices:
 
     def _interfaces(self) -> tuple[list[HardwareInterface], list[HardwareInterface]]:
         """Return the command and the state interfaces; as in the original, only the former are ever claimed."""
-        claimed = self._loop.active
+        claimed = self._loop.state.switch.active
 
         def of(names: Sequence[str], claimed: bool) -> list[HardwareInterface]:
             return [
@@ -145,7 +145,7 @@ class ManagerServices:
         """Answer that all is as it should be already, or why it cannot be; strict requests are held to be changes."""
         activate = set(request.activate_controllers)
         deactivate = set(request.deactivate_controllers)
-        active = {self._name} if self._loop.active else set()
+        active = {self._name} if self._loop.state.switch.active else set()
         idle = activate <= active and not deactivate & active
         unknown = sorted((activate | deactivate) - {self._name})
         strict = request.strictness == SwitchController.Request.STRICT

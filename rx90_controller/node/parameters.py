@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from typing import Annotated, Any, Final, TypeAlias
 
@@ -17,7 +17,6 @@ from rx90_common.description.robot_files import DESCRIPTIONS
 from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.parameters import Effective, RobotParameters, nested
 from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS
-from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CS7BParameters, FeedForward, Servo, Supervision, load_controller
 from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory.request import Constraints, GoalOptions, GoalTolerances
@@ -184,28 +183,23 @@ def law_of(law: CS7BParameters, values: Mapping[str, Any]) -> CS7BParameters:
     return changed
 
 
-def allow_goal_changes(node: ManagedNode, cs7b: CS7B, loop: ServoLoop) -> None:
-    """Let options and tolerances be changed for the next goals and trajectories."""
+def allow_goal_changes(node: ManagedNode, names: Sequence[str], loop: ServoLoop) -> None:
+    """Let options and tolerances be changed for the next goals and trajectories of an arm with these joints."""
 
-    def setter(attribute: str) -> Callable[[Any, Effective], None]:
-        def apply(value: Any, effective: Effective) -> None:
-            with loop.between_ticks:
-                setattr(loop, attribute, value)
-                tick = cs7b.position_tick
-            effective(tick * cs7b.rates.ratio * cs7b.rates.period_ns)
+    def change_options(options: GoalOptions, effective: Effective) -> None:
+        effective(loop.change(options=options))
 
-        return apply
+    def change_tolerances(tolerances: GoalTolerances, effective: Effective) -> None:
+        effective(loop.change(tolerances=tolerances))
 
-    names = cs7b.joint_names
-
-    def tolerances(values: Mapping[str, Any]) -> GoalTolerances:
+    def read_tolerances(values: Mapping[str, Any]) -> GoalTolerances:
         with refusals(Constraints):
             constraints = Constraints.model_validate(nested(values)["constraints"])
         return GoalTolerances.of_parameters(names, constraints)
 
-    node.changes.allow(tuple(GoalOptions.model_fields), lambda values: GoalOptions(**values), setter("options"))
+    node.changes.allow(tuple(GoalOptions.model_fields), lambda values: GoalOptions(**values), change_options)
     of_constraints = [name for name in node.get_parameters_by_prefix("") if name.startswith("constraints.")]
-    node.changes.allow(of_constraints, tolerances, setter("tolerances"))
+    node.changes.allow(of_constraints, read_tolerances, change_tolerances)
 
 
 def law_names(node: ManagedNode) -> list[str]:

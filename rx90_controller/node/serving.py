@@ -27,7 +27,8 @@ from rx90_common.exchange.channel import TickChannel
 from rx90_common.exchange.lockstep import Wait
 from rx90_common.exchange.pacing import Pacer, ThrottledLog
 from rx90_common.exchange.topics import FREE_RUNNING, LOCK_STEP, TimeMode
-from rx90_controller.node.servo_loop import MotorStates, ServoLoop
+from rx90_controller.node.servo_loop import ServoLoop
+from rx90_controller.servo.servo import MotorStates
 
 _WAIT_SLICE = 0.1  # s of a wait for states; in free-running time also the time at rest after which it is reported
 _PATIENCE = 1.0  # s without a simulation, after which that is announced

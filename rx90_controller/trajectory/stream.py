@@ -22,6 +22,7 @@ from pydantic import Field
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.models import Model, quantity
+from rx90_common.base.quoting import counted
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_controller.trajectory.paths import JointLimits
@@ -165,6 +166,11 @@ class Stream:
     notes: dict[str, str] = field(default_factory=dict)
     _times: Array = field(default_factory=lambda: np.array([-np.inf]))
     _values: Array = field(init=False)
+
+    @property
+    def summary(self) -> str:
+        """Return what has come, in words."""
+        return f"{self.interface}, {counted(self.count, 'set-point')}, {self.late} late"
 
     def follow(self, points: SetPoints, tick: int, held: Array) -> Spline | None:
         """Take set-points; return the motion from a tick on, to rest, times in s from there; None if it stays.

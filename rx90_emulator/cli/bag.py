@@ -10,42 +10,41 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rx90_common.bags.tolerance import GRAMMAR, Tolerances
-from rx90_common.bags.topics import FIELDS, SUITE_TOPICS
+from rx90_common.bags.topics import SUITE_TOPICS
 from rx90_common.base.errors import BagError, ConfigError, check_replaced
 from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.ros_start import prepare
 from rx90_common.process.interrupts import stop_request
 from rx90_emulator.cli.options import (
+    add_force,
+    add_joints_argument,
+    add_json,
+    add_output,
     add_robot_arguments,
+    add_signals_argument,
     add_verbs,
-    check_apart,
-    check_needs,
     new_folder,
     place,
 )
 
 if TYPE_CHECKING:
     from rx90_common.bags.mapping import LogMapping
-    from rx90_common.bags.recorder.recording import Recorder, TopicCount
+    from rx90_common.bags.recorder.stream import TopicCount
 
 _MAX_STAMP = 4_294_967_296  # s: stamps count so far, and two of them do not overflow 64 bits of ns
 _KINDS = ("csv", "parquet", "npz")
 # What several verbs have in common.
 _BAG: dict[str, Any] = {"metavar": "BAG", "help": "bag: folder, .mcap, .db3 or ROS 1 .bag file"}
-_TOPIC: dict[str, Any] = {"nargs": "+", "dest": "topics", "metavar": "TOPIC"}
 _NOTHING_WRITTEN = "nothing was written"
-_TIP_FILES = ("urdf", "tool", "drives")  # files of a robot that say where a bag's tip was
 
 _MAPPING = """\
 a signal map (docs/howto/bags.md says more):
   time: {column: 1, unit: s}                # or, without a column of times: rate: 5000
-  topics:
-    joint_states:
-      names: [shoulder, elbow]
-      position: {columns: [2, 3], unit: deg}
-      velocity: {columns: [dq1, dq2], unit: rad/s}
-      effort: {columns: [i1, i2], unit: A}
+  names: [shoulder, elbow]
+  position: {columns: [2, 3], unit: deg}
+  velocity: {columns: [dq1, dq2], unit: rad/s}
+  effort: {columns: [i1, i2], unit: A}
 """
 
 
@@ -55,10 +54,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_verbs(parser, _VERBS)
 
 
+def _add_topics(parser: argparse.ArgumentParser, default: str) -> None:
+    parser.add_argument(
+        "--topic", nargs="+", dest="topics", metavar="TOPIC", help=f"topics of joint states ({default})"
+    )
+
+
 def _add_signals(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--signals", type=Path, metavar="FILE",
-                        help="what the columns of a CSV, Parquet or NPZ table hold (the file named as the table, with "
-                        ".yaml)")  # fmt: skip
+    add_signals_argument(parser, "what the columns of a CSV, Parquet or NPZ table hold")
 
 
 def _signals(args: argparse.Namespace) -> LogMapping | None:
@@ -72,9 +75,7 @@ def _add_record(parser: argparse.ArgumentParser) -> None:
         "topics", nargs="*", metavar="TOPIC",
         help=f"topics to record; each must get a message (default: {' '.join(SUITE_TOPICS)}, as far as they do)",
     )  # fmt: skip
-    parser.add_argument(
-        "-o", "--output", type=new_folder, required=True, metavar="FOLDER", help="bag to make; must not exist"
-    )
+    add_output(parser, new_folder, "bag to make; must not exist", metavar="FOLDER", required=True)
 
 
 def _record(args: argparse.Namespace) -> int:
@@ -85,36 +86,28 @@ def _record(args: argparse.Namespace) -> int:
     from rx90_common.bags.writing import BagWriter
 
     prepare()
-    from rx90_common.bags.recorder.recording import Recorder
+    from rx90_common.bags.recorder.recording import record
 
-    recorder = Recorder(args.topics or SUITE_TOPICS, args.ros_args)
-    counts = recorder.run(lambda: BagWriter(args.output), stop)
-    return _report(recorder, counts, args.output, requested=bool(args.topics))
+    counts = record(args.topics or SUITE_TOPICS, args.ros_args, lambda: BagWriter(args.output), stop)
+    return _report(counts, args.output, requested=bool(args.topics))
 
 
-def _report(recorder: Recorder, counts: Sequence[TopicCount], output: Path, *, requested: bool) -> int:
+def _report(counts: Sequence[TopicCount], output: Path, *, requested: bool) -> int:
     """Print what was recorded, and what not; return the exit code. Requested topics may not stay empty."""
     repeated = sum(count.repeated for count in counts)
     received = sum(count.received for count in counts)
+    empty = [count.topic for count in counts if not count.received]
     left_out = f"; left out: {counted(repeated, 'repetition')} of the sample before" if repeated else ""
-    topics = counted(len(counts), "topic")
+    topics = counted(len(counts) - len(empty), "topic")
     print(f"recorded {counted(received - repeated, 'message')} of {topics} to {plain(output)}{left_out}")
     failures = []
-    if recorder.empty and (requested or not received):
+    if empty and (requested or not received):
         part = "not" if received else "nothing"
-        failures.append(f"{part} recorded: no message came on {listed(recorder.empty)}")
-    for stall in recorder.stalls:
-        failures.append(f"lost: an unknown number of messages, in {stall:.1f} s in which this process did not run")
+        failures.append(f"{part} recorded: no message came on {listed(empty)}")
     for count in counts:
-        if count.other_clock:
-            print(f"{count.topic}: {counted(count.other_clock, 'message')} with stamps of another clock, dated by when "
-                  "they came, by the clock of the bag")  # fmt: skip
         writers = "; ".join(f"{w.lost} of {w.received + w.lost}" for w in count.writers)
         if count.lost:
             failures.append(f"lost: {counted(count.lost, 'message')} of {count.topic} (by publisher: {writers})")
-        if count.missing:
-            failures.append(f"not recorded: {count.missing} of the trajectories of {count.topic} that the controller "
-                            "has accepted: sent before the recording was ready, or lost")  # fmt: skip
         if count.refused:
             failures.append(f"not recorded: {counted(count.refused, 'publisher')} of {count.topic}, whose quality of "
                             "service does not fit the first one's")  # fmt: skip
@@ -129,13 +122,9 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     _add_signals(parser)
     parser.add_argument(
         "--tolerance", action="append", default=[], metavar=GRAMMAR,
-        help="in rad, rad/s or Nm; the most specific one that fits decides; default 0: equal bits",
+        help="in rad, rad/s or Nm; the last one that fits decides; default 0: equal bits",
     )  # fmt: skip
-    parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="compare only these")
-    parser.add_argument(
-        "--fields", nargs="+", choices=FIELDS, default=list(FIELDS), metavar="FIELD",
-        help=f"compare only these of {', '.join(FIELDS)}",
-    )  # fmt: skip
+    _add_topics(parser, "all")
     parser.add_argument("--from", dest="start", metavar="S", help="leave out stamps before this time in s")
     parser.add_argument("--to", dest="end", metavar="S", help="leave out stamps after this time in s")
     parser.add_argument(
@@ -146,10 +135,7 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
         help="move the stamps of B: so that both bags begin together, so that their last trajectories do, or by a time "
         "in s (%(default)s)",
     )  # fmt: skip
-    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
-    parser.add_argument("--path-error", action="store_true", help="print, too, how far each tip is from the path of "
-                        "its set-points, across and along it, and the tool from its orientation")  # fmt: skip
-    add_robot_arguments(parser, *_TIP_FILES)
+    add_json(parser)
 
 
 def _compare(args: argparse.Namespace) -> int:
@@ -162,36 +148,35 @@ def _compare(args: argparse.Namespace) -> int:
     from rx90_common.bags.comparison import Scope, compare_bags
     from rx90_common.bags.tables import comparison_json, comparison_text
 
-    check_needs(args, ("robot", *_TIP_FILES), ("path_error",))
-    check_apart(args, ("json",), "path_error", "one of them")
     scope = Scope(
         topics=tuple(dict.fromkeys(args.topics)) if args.topics else None,
-        fields=tuple(args.fields),
         start_ns=None if args.start is None else _time("--from", args.start),
         end_ns=None if args.end is None else _time("--to", args.end),
         common_range=args.common_range,
         align=alignment(args.align),
     )
     comparison = compare_bags(args.bag_a, args.bag_b, Tolerances(*args.tolerance), scope, _signals(args))
-    paths = _path_errors(args) if args.path_error else []
     print(comparison_json(comparison) if args.json else comparison_text(comparison))
-    print("".join(f"{line}\n" for line in paths), end="")
     return int(comparison.verdict)
 
 
-def _path_errors(args: argparse.Namespace) -> list[str]:
-    """Return a line for each bag: its path errors, by the set-points in it."""
+def _add_path(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("bags", type=Path, **_BAG | {"nargs": "+"})
+    _add_signals(parser)
+    add_robot_arguments(parser, "urdf", "tool", "drives")
+
+
+def _path(args: argparse.Namespace) -> None:
+    """Print how far the tip was from the path of the bag's set-points, across and along it, and its orientation."""
     from rx90_common.description.robot import load_robot
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.identification.validation.recorded_path import recorded_accuracy
+    from rx90_emulator.measured_runs.recorded_path import recorded_accuracy
 
     files = RobotFiles.of_options(args)
-    lines = []
     robot = load_robot(files.urdf, files.tool)
-    for bag in (args.bag_a, args.bag_b):
-        accuracy = recorded_accuracy(Path(bag), robot, files, args.signals)
-        lines.append(f"{plain(bag)}: {accuracy.words if accuracy else 'no path error: it holds no set-points'}")
-    return lines
+    for bag in args.bags:
+        accuracy = recorded_accuracy(bag, robot, files, args.signals)
+        print(f"{plain(bag)}: {accuracy.words if accuracy else 'no path error: it holds no set-points'}")
 
 
 def alignment(text: str) -> int | str:
@@ -216,32 +201,31 @@ def _add_plot(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", type=Path, **_BAG)
     parser.add_argument("second", type=Path, nargs="?", metavar="BAG2", help="bag to draw over it")
     _add_signals(parser)
-    parser.add_argument("-o", "--output", type=place, metavar="FILE",
-                        help=".html, .png, .svg or .pdf (the bag's name with .html, here)")  # fmt: skip
-    parser.add_argument("--force", action="store_true", help="replace a file that exists")
-    parser.add_argument("--topic", **_TOPIC,
-                        help="topics of joint states (joint_states, friction, tracking error)")  # fmt: skip
-    parser.add_argument("--joint", nargs="+", dest="joints", metavar="JOINT", help="joints (all)")
+    add_output(parser, place, "page (the bag's name with .html, here)", metavar="FILE")
+    add_force(parser)
+    _add_topics(parser, "joint_states, friction, tracking error")
+    add_joints_argument(parser, "joints (all)")
     parser.add_argument("--align", metavar="start|trajectory|S",
                         help="moves the stamps of BAG2, as in compare (0)")  # fmt: skip
 
 
 def _plot(args: argparse.Namespace) -> None:
-    """Draw joint states of a bag, or of two bags and their difference: a page to zoom in, or a picture.
+    """Draw joint states of a bag, or of two bags over each other: a page to zoom in.
 
-    The suffix of --output says which: .html, .png, .svg or .pdf. Without options it shows joint states, friction and
-    tracking error, as far as the bag has them.
+    Without options it shows joint states, friction and tracking error, as far as the bag has them.
     """
-    from rx90_common.bags.plot_files import write_plots
-    from rx90_common.bags.plotting import plot_bags
+    from rx90_common.bags.plotting import plot_bags, plot_page
+    from rx90_common.process.files import write_text
 
     if args.align is not None and args.second is None:
         raise ConfigError(f"--align {plain(args.align)} with one bag; accepted: with two")
     output: Path = args.output or place(f"{args.bag.resolve().name}.html")
+    if output.suffix.lower() != ".html":
+        raise ConfigError(f"--output {plain(output)}; accepted: a page, .html")
     check_replaced(output, force=args.force)
     paths = [args.bag] if args.second is None else [args.bag, args.second]
     align = alignment(args.align or "0")
-    write_plots(paths, plot_bags(paths, args.topics, args.joints, align, _signals(args)), output)
+    write_text(output, plot_page(paths, plot_bags(paths, args.topics, args.joints, align, _signals(args))))
     print(f"plot: {plain(output.resolve())}")
 
 
@@ -249,10 +233,9 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted=_NOTHING_WRITTEN)
     parser.add_argument("bag", type=Path, **_BAG)
     _add_signals(parser)
-    parser.add_argument("-o", "--output", type=new_folder, required=True, metavar="FILE|FOLDER",
-                        help="FILE.csv, FILE.parquet (one topic), FILE.npz, or a folder; must not exist")  # fmt: skip
-    parser.add_argument("--topic", **_TOPIC,
-                        help="topics of joint states (all)")  # fmt: skip
+    text = "FILE.csv, .parquet or .npz of one topic, or a folder; must not exist"
+    add_output(parser, new_folder, text, metavar="FILE|FOLDER", required=True)
+    _add_topics(parser, "all")
     parser.add_argument("--format", choices=_KINDS, help=f"of the files in a folder ({_KINDS[0]})")
 
 
@@ -260,7 +243,7 @@ def _export(args: argparse.Namespace) -> None:
     """Write joint states of a bag as tables: CSV, Parquet, or NPZ with names that MATLAB takes.
 
     The suffix of --output says the format; without one it is a folder with a file for each topic. Every number keeps
-    all its bits: `rx90_bag import` makes an equal bag of exported CSV files.
+    all its bits: `rx90 bag import` makes an equal bag of exported CSV files.
     """
     if args.format is not None and args.output.suffix.lower().removeprefix(".") in _KINDS:
         given = f"--format {args.format} with the file {plain(args.output)}"
@@ -281,33 +264,25 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = _MAPPING
     parser.set_defaults(interrupted=_NOTHING_WRITTEN)
-    parser.add_argument("log", type=Path, metavar="LOG", help="log to read, or a folder with those of an export")
+    parser.add_argument("log", type=Path, metavar="LOG", help="log to read")
     parser.add_argument("bag", type=new_folder, metavar="BAG", help="bag to make; must not exist")
     _add_signals(parser)
-    parser.add_argument("--skip-corrupt", action="store_true",
-                        help="leave out damaged rows and say which; otherwise they are refused")  # fmt: skip
 
 
 def _import(args: argparse.Namespace) -> None:
-    """Make a bag of joint states from a log in columns, CSV or separated by blanks; a signal map says what they hold.
+    """Make a bag of joint states from a log in columns, whose signal map says what they hold."""
+    from rx90_common.bags.logs import read_log
+    from rx90_common.bags.writing import write_joint_states
 
-    Of a folder that `rx90_bag export` has written it makes the bag again.
-    """
-    from rx90_common.bags.logs import import_logs
-
-    folder = args.log.is_dir()
-    logs = sorted(args.log.glob("*.csv")) if folder else [args.log]
-    if not logs or (folder and args.signals):
-        raise ConfigError(f"{plain(args.log)}: accepted: a folder with CSV files, each with its signal map, or a log")
-    mapping = _signals(args)
-    done = import_logs([(log, mapping) for log in logs], args.bag, skip_corrupt=args.skip_corrupt)
-    print("\n".join([*(log.text for log in done), f"bag: {plain(args.bag)}"]))
+    series = read_log(args.log, _signals(args))
+    write_joint_states(args.bag, [series])
+    print(f"{plain(series.topic)}: {counted(len(series.stamp_ns), 'message')}\nbag: {plain(args.bag)}")
 
 
 def _add_info(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", **_BAG)
     _add_signals(parser)
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    add_json(parser)
 
 
 def _info(options: argparse.Namespace) -> None:
@@ -322,7 +297,8 @@ def _info(options: argparse.Namespace) -> None:
 _VERBS = (
     (_add_record, _record, "record topics to a new bag; a lost message is a non-zero exit, and so is an empty bag"),
     (_add_compare, _compare, "compare two bags; exit 0 same, 1 differs, 2 cannot be compared"),
-    (_add_plot, _plot, "draw one bag, or two and their difference, as a page or a picture"),
+    (_add_path, _path, "print how far the tip was from the path of its set-points"),
+    (_add_plot, _plot, "draw one bag, or two over each other, as a page"),
     (_add_export, _export, "write a bag as CSV, Parquet or NPZ"),
     (_add_import, _import, "make a bag from a CSV log; a file says what its columns hold"),
     (_add_info, _info, "summarise a bag"),

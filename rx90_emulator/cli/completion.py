@@ -1,47 +1,69 @@
-"""Completion of all commands for a shell: options, choices, files, robots, plans and topics."""
+"""Print the completion of `rx90` and the nodes for a shell: verbs, options, choices, files, robots, plans and topics.
+
+To turn it on, put into ~/.bashrc or ~/.zshrc: eval "$(rx90 completion bash)", or zsh; that of zsh behind compinit.
+For fish: rx90 completion fish | source, in config.fish.
+"""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping
+import inspect
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
 from rx90_common.bags.topics import SUITE_TOPICS
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import shipped_robots
+from rx90_emulator.cli.frame import VERBS
 from rx90_emulator.cli.node import NODES
-from rx90_emulator.cli.options import command_of, new_file, new_folder, place
+from rx90_emulator.cli.options import command_of, module_of, new_file, new_folder, place
 
-SHELLS: Final = ("bash", "zsh", "fish")
+_SHELLS: Final = ("bash", "zsh", "fish")
 _FILES = {"FILE", "BAG", "A", "B", "LOG", "TASK", "PATH", "REFERENCE", "DIR", "BASELINE"}
 """Placeholders of arguments that are files or folders; arguments of the type Path need none of them."""
 
 
-def completion(shell: str, executables: Mapping[str, str]) -> str:
-    """Return the script that a shell reads.
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("shell", choices=_SHELLS)
 
-    Args:
-        shell: one of SHELLS.
-        executables: where the functions of each are, by its name.
-    """
+
+def main(options: argparse.Namespace) -> None:
+    """Print the script that a shell reads."""
     import shtab
 
-    parts: list[str] = []
-    for name, where in sorted(executables.items()):
-        parser, _ = command_of(name, where)
-        if name in NODES:  # whose arguments ROS reads
-            ros = parser.add_argument_group("ros")
-            ros.add_argument("--ros-args", action="store_true", help="what follows is for ROS")
-            ros.add_argument("--params-file", metavar="FILE", help="parameter file")
-            ros.add_argument("-p", "--param", metavar="NAME:=VALUE", help="parameter")
-            ros.add_argument("-r", "--remap", metavar="FROM:=TO", help="other name of a topic, a service or the node")
-        parser.description = None
+    preamble = _words_or_files(options.shell)
+    for parser in (_rx90(), *map(_node, NODES)):
         for action in _actions(parser):
-            if (found := _completed_by(action, shtab.FILE, shtab.DIRECTORY)) is not None:
-                action.complete = found  # type: ignore[attr-defined]  # where shtab looks for it
-        parts.append(shtab.complete(parser, shell=shell, preamble="" if parts else _words_or_files(shell)))
-    return "\n".join(parts)
+            completer = _completed_by(action, shtab.FILE, shtab.DIRECTORY)
+            if completer is not None:
+                action.complete = completer  # type: ignore[attr-defined]  # where shtab looks for it
+        print(shtab.complete(parser, shell=options.shell, preamble=preamble))
+        preamble = ""
+
+
+def _rx90() -> argparse.ArgumentParser:
+    """Return the parser of `rx90` with those of all verbs, which otherwise are made when they are asked for."""
+    parser = argparse.ArgumentParser(prog="rx90")
+    verbs = parser.add_subparsers()
+    for verb in VERBS:
+        module = module_of(f"rx90 {verb}")
+        summary = (inspect.getdoc(module) or "").split("\n")[0]
+        module.add_arguments(verbs.add_parser(verb, help=summary, description=summary))
+    return parser
+
+
+def _node(name: str) -> argparse.ArgumentParser:
+    """Return the parser of a node, with the arguments that ROS reads."""
+    parser, _ = command_of(name)
+    parser.description = None
+    ros = parser.add_argument_group("ros")
+    ros.add_argument("--ros-args", action="store_true", help="what follows is for ROS")
+    ros.add_argument("--params-file", metavar="FILE", help="parameter file")
+    ros.add_argument("-p", "--param", metavar="NAME:=VALUE", help="parameter")
+    ros.add_argument("-r", "--remap", metavar="FROM:=TO", help="other name of a topic, a service or the node")
+    return parser
 
 
 def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:

@@ -1,20 +1,15 @@
-"""Check configuration files, show what a setup comes to, and print the completion for a shell."""
+"""Check configuration files, and show what a setup comes to."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
 from rx90_common.base.quoting import one_line
 from rx90_common.base.share import SHIPPED_RIG
 from rx90_common.description.robot_files import FILES, RobotFiles
-from rx90_emulator.cli.completion import SHELLS, completion
-from rx90_emulator.cli.options import add_robot_arguments, add_verbs
-
-if TYPE_CHECKING:
-    pass
+from rx90_emulator.cli.options import add_json, add_rig_argument, add_robot_arguments, add_verbs
 
 _KINDS = "controller, drives, friction, rig, sweep_plan …"
 
@@ -60,24 +55,10 @@ def _check(options: argparse.Namespace) -> int:
     return VERDICT_NO if problems else DONE
 
 
-def _add_completion(complete: argparse.ArgumentParser) -> None:
-    complete.add_argument("shell", choices=SHELLS)
-
-
-def _completion(options: argparse.Namespace) -> int:
-    """Print the completion of all commands for a shell.
-
-    To turn it on, put into ~/.bashrc or ~/.zshrc: eval "$(rx90_config completion bash)", or zsh; that of zsh behind
-    compinit. For fish: rx90_config completion fish | source, in config.fish.
-    """
-    print(completion(options.shell, options.executables))
-    return DONE
-
-
 def _add_show(show: argparse.ArgumentParser) -> None:
     add_robot_arguments(show, *FILES)
-    show.add_argument("--rig", metavar="FILE", help=f"rig file of the friction rig ({SHIPPED_RIG})")
-    show.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    add_rig_argument(show)
+    add_json(show)
 
 
 def _show(options: argparse.Namespace) -> int:
@@ -101,14 +82,13 @@ def _show(options: argparse.Namespace) -> int:
     steps = steps_value(Setup.load(files))
     of_robot = f"robot {options.robot}" if options.robot is not None else OF_CODE
     chosen = {role: of_robot if getattr(options, role) is None else COMMAND_LINE for role in FILES}
-    rig, origin = (SHIPPED_RIG, OF_CODE) if options.rig is None else (options.rig, COMMAND_LINE)
-    values = [*setup_values(files, chosen), steps, *rig_values(rig, origin)]
+    origin = OF_CODE if options.rig == SHIPPED_RIG else COMMAND_LINE
+    values = [*setup_values(files, chosen), steps, *rig_values(options.rig, origin)]
     print(values_json(values) if options.json else values_table(values))
     return DONE
 
 
 _VERBS = (
     (_add_check, _check, "say what is wrong in configuration files"),
-    (_add_completion, _completion, "print the completion of all commands for a shell"),
     (_add_show, _show, "show what a setup comes to, and where each value comes from"),
 )

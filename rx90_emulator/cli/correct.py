@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rx90_common.base.errors import DONE, VERDICT_NO, check_replaced
 from rx90_common.base.quoting import counted, one_line, plain
 from rx90_emulator.cli.options import (
     POSITIVE,
+    add_force,
     add_node_arguments,
+    add_output,
     add_robot_arguments,
     add_verbs,
-    check_apart,
-    check_needs,
     node_of,
     place,
     progress_bar,
@@ -22,6 +22,7 @@ from rx90_emulator.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from rx90_emulator.correction.file import CorrectionFile
     from rx90_emulator.correction.learning import LearnedCorrection, Learner, TrialRecord
     from rx90_emulator.correction.path import CorrectablePath
     from rx90_emulator.loop.setup import Setup
@@ -34,111 +35,171 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_verbs(parser, _VERBS)
 
 
-def _add_learn(learn: argparse.ArgumentParser) -> None:
-    learn.set_defaults(interrupted="nothing was written")
-    learn.add_argument("path", metavar="PATH", help="path file, task file of a line, or a trajectory (YAML, as "
-                       "rx90_line --output writes it)")  # fmt: skip
-    learn.add_argument("--output", type=place, metavar="FILE", required=True, help="correction file to write, .yaml")
-    learn.add_argument("--force", action="store_true", help="replace a correction file that exists")
-    learn.add_argument("--trials", type=whole_number, metavar="N", help="after the first (4)")
-    learn.add_argument("--previous", type=Path, metavar="FILE", help="correction file to go on from")
-    method = learn.add_argument_group("norm-optimal learning")
+def _add_engine(parser: argparse.ArgumentParser) -> None:
+    _add_learning(parser)
+    _add_trials(parser)
+    parser.add_argument("--true-tip", action="store_true", help="learn from the simulated arm's tip, not from its "
+                        "encoders, which do not see what gears do")  # fmt: skip
+    add_robot_arguments(parser)
+
+
+def _add_nodes(parser: argparse.ArgumentParser) -> None:
+    _add_learning(parser)
+    _add_trials(parser)
+    _add_tip_topic(parser, "learn from the tip, which a sensor measures")
+    add_node_arguments(parser, _TIMEOUT)
+    add_robot_arguments(parser)
+
+
+def _add_recorded(parser: argparse.ArgumentParser) -> None:
+    _add_learning(parser)
+    parser.add_argument("--bag", type=Path, metavar="BAG", help="of the joints, from an arm or the nodes, or a table")
+    parser.add_argument("--topic", default="joint_states", metavar="TOPIC", help="of the joints in it (%(default)s)")
+    parser.add_argument("--tip", type=Path, metavar="FILE", help="the tip, measured in that trial: time [s], x [m], "
+                        "y [m], z [m] in the base frame; or a bag")  # fmt: skip
+    _add_tip_topic(parser, "of the tip where it is in a bag")
+    add_robot_arguments(parser)
+
+
+def _add_learning(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(interrupted="nothing was written")
+    parser.add_argument("path", metavar="PATH", help="path file, task file of a line, or a trajectory (YAML, as "
+                        "rx90 line --output writes it)")  # fmt: skip
+    add_output(parser, place, "correction file to write, .yaml", metavar="FILE", required=True)
+    add_force(parser)
+    parser.add_argument("--previous", type=Path, metavar="FILE", help="correction file to go on from")
+    method = parser.add_argument_group("norm-optimal learning")
     method.add_argument(
         "--effort", type=POSITIVE, metavar="W", default=0.1, help="weight of a change, m/rad (%(default)s)"
     )
-    method.add_argument("--joints", type=POSITIVE, metavar="W", default=0.005,
+    method.add_argument("--joints-weight", type=POSITIVE, metavar="W", default=0.005,
                         help="weight of the joints' own errors, m/rad (%(default)s)")  # fmt: skip
-    method.add_argument("--cutoff", type=POSITIVE, metavar="HZ", help="of a zero-phase filter, Hz (none)")
+    _add_cutoff(method, "of a zero-phase filter, Hz (none)")
     method.add_argument("--noise", type=POSITIVE, metavar="M", default=1e-6,
                         help="by how much the path error may grow from trial to trial, m (%(default)s)")  # fmt: skip
-    where = learn.add_argument_group("where the trials run", "on the engine, unless one of these says otherwise")
-    where.add_argument("--on-nodes", action="store_true", help="on the running nodes, recorded")
-    where.add_argument("--from-bag", type=Path, metavar="BAG", help="one trial, played with the correction of "
-                       "--previous or without one: bag of an arm or of the nodes, or a table")  # fmt: skip
-    where.add_argument("--tip", type=Path, metavar="FILE", help="learn from the tip, measured in that trial: "
-                       "time [s], x [m], y [m], z [m] in the base frame")  # fmt: skip
-    where.add_argument("--tip-topic", metavar="TOPIC", help="the tip is in the bag of --tip, or comes while the trials "
-                       "run --on-nodes: PointStamped, PoseStamped or TransformStamped")  # fmt: skip
-    where.add_argument("--topic", metavar="TOPIC", help="of the joints in the bag (joint_states)")
-    where.add_argument("--tip-on-engine", action="store_true", help="learn from the simulated arm's tip, not "
-                       "from its encoders, which do not see what gears do")  # fmt: skip
-    add_node_arguments(where, _TIMEOUT)
-    add_robot_arguments(learn)
 
 
-def _learn(options: argparse.Namespace) -> int:
-    """Learn a correction of a path, trial by trial.
+def _add_cutoff(parser: argparse._ActionsContainer, text: str) -> None:
+    parser.add_argument("--cutoff", type=POSITIVE, metavar="HZ", help=text)
 
-    The first trial is without correction, or with the one of --previous. With --from-bag or --tip one trial has been
-    run already, and what is written is for the next one. Exit code 1: the path got worse, trial after trial (the best
-    correction is written, from records nothing), or with the trial that was recorded (half the step is written).
+
+def _add_tip_topic(parser: argparse.ArgumentParser, text: str) -> None:
+    parser.add_argument("--tip-topic", metavar="TOPIC", help=f"{text}: PointStamped, PoseStamped or TransformStamped")
+
+
+def _add_trials(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--trials", type=whole_number, metavar="N", default=4, help="after the first (%(default)s)")
+
+
+def _engine(options: argparse.Namespace) -> int:
+    """Learn a correction of a path, trial by trial, in the closed loop without ROS.
+
+    The first trial is without correction, or with the one of --previous. Exit code 1: the path got worse, trial after
+    trial; the best correction is written.
     """
-    check_apart(options, ("on_nodes", "trials", "tip_on_engine"), "from_bag", "one trial for each bag")
-    check_apart(options, ("on_nodes", "trials", "tip_on_engine"), "tip", "one trial for each file")
-    check_apart(options, ("tip_on_engine",), "on_nodes", "the encoders, or --tip-topic")
-    check_needs(options, ("topic",), ("from_bag",))
-    check_needs(options, ("tip_topic",), ("tip", "on_nodes"))
-    check_needs(options, ("node", "timeout"), ("on_nodes",))
-    # Here, because --help must not wait for them.
-    from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.correction.file import correction_files, load_correction, write_correction
-    from rx90_emulator.correction.learning import CorrectionError, Learner, summary
-    from rx90_emulator.correction.methods import NormOptimal
-    from rx90_emulator.correction.recorded import learn_from_record, measured
-    from rx90_emulator.loop.setup import Setup
+    from rx90_emulator.correction.learning import ENGINE, learn, run_corrected
 
-    for file in correction_files(options.output):
-        check_replaced(file, force=options.force)
-    setup = Setup.load(RobotFiles.of_options(options))
-    path = _path(options.path, setup)
-    method = NormOptimal(options.effort, options.joints, options.cutoff)
-    earlier = None if options.previous is None else load_correction(options.previous)
-    previous = None if earlier is None else earlier.fitting(setup, path).offsets
-    tip = options.tip is not None or options.tip_on_engine or options.tip_topic is not None
-    learner = Learner(setup, path, method, tip=tip, noise=options.noise, previous=previous)
-    if options.from_bag is None and options.tip is None:
-        learned = _trials(learner, options)
-        said = f"worst {learned.best.worst * 1e3:.4f} mm"
-        why = f"learning has failed: {learned.remark}" if learned.remark else ""
-    else:  # one trial, which was recorded
-        topic = options.topic or "joint_states"
-        found, lines = measured(setup, learner.nominal, options.from_bag, options.tip, topic, options.tip_topic)
-        print("\n".join(one_line(line) for line in lines))
-        try:
-            learned, why = learn_from_record(learner, found, earlier)
-        except CorrectionError as error:
-            print(one_line(f"learning has failed, nothing written: {error}"))
-            return VERDICT_NO
-        said = "for the next trial: half the step from the best trial" if why else "for the next trial"
-    print(summary(learned.trials))
-    write_correction(learned, options.output, earlier)
-    print(one_line(f"written to {options.output}: {said}"))
-    if why:
-        print(one_line(why))
-    return VERDICT_NO if why else DONE
+    learner, earlier = _learner(options, tip=options.true_tip)
 
+    def play(played: Any) -> Any:
+        return run_corrected(learner.setup, learner.nominal, played)[1]
 
-def _trials(learner: Learner, options: argparse.Namespace) -> LearnedCorrection:
-    """Run trials on the engine, or on nodes, with a progress bar."""
-    from rx90_emulator.correction.learning import ENGINE, NODES, learn, run_corrected
-
-    count = 4 if options.trials is None else options.trials
     with progress_bar("trials") as progress:
 
         def on_trial(_: TrialRecord) -> None:
-            progress(len(learner.trials), count + 1)
+            progress(len(learner.trials), options.trials + 1)
 
-        if not options.on_nodes:
-            setup = learner.setup
-            asked = learner.nominal
-            return learn(learner, lambda played: run_corrected(setup, asked, played)[1], count, ENGINE, on_trial)
+        learned = learn(learner, play, options.trials, ENGINE, on_trial)
+    return _end(options, learned, earlier)
+
+
+def _nodes(options: argparse.Namespace) -> int:
+    """Learn a correction of a path, trial by trial, on the running nodes; each trial is recorded.
+
+    The first trial is without correction, or with the one of --previous. Exit code 1: the path got worse, trial after
+    trial; the best correction is written.
+    """
+    from rx90_emulator.correction.learning import NODES, learn
+
+    learner, earlier = _learner(options, tip=options.tip_topic is not None)
+    with progress_bar("trials") as progress:
+
+        def on_trial(_: TrialRecord) -> None:
+            progress(len(learner.trials), options.trials + 1)
+
         from rx90_common.exchange.ros_start import prepare
 
         prepare()
         from rx90_emulator.correction.nodes import node_trials
 
         with node_trials(learner, node_of(options), options.timeout or _TIMEOUT, options.tip_topic) as play:
-            return learn(learner, play, count, NODES, on_trial)
+            learned = learn(learner, play, options.trials, NODES, on_trial)
+    return _end(options, learned, earlier)
+
+
+def _recorded(options: argparse.Namespace) -> int:
+    """Learn from one recorded trial, played with the correction of --previous or without one.
+
+    What is written is for the next trial. Exit code 1: the path got worse with the trial that was recorded; half the
+    step is written.
+    """
+    from rx90_emulator.correction.learning import CorrectionError, summary
+    from rx90_emulator.correction.recorded import learn_from_record, measured
+
+    if options.bag is None and options.tip is None:
+        raise CorrectionError("no --bag and no --tip; accepted: one of them, or both of the same trial")
+    learner, earlier = _learner(options, tip=options.tip is not None)
+    found, lines = measured(learner.setup, learner.nominal, options.bag, options.tip, options.topic, options.tip_topic)
+    print("\n".join(one_line(line) for line in lines))
+    try:
+        learned, why = learn_from_record(learner, found, earlier)
+    except CorrectionError as error:
+        print(one_line(f"learning has failed, nothing written: {error}"))
+        return VERDICT_NO
+    print(summary(learned.trials))
+    said = "for the next trial: half the step from the best trial" if why else "for the next trial"
+    return _write(options, learned, earlier, said, why)
+
+
+def _learner(options: argparse.Namespace, *, tip: bool) -> tuple[Learner, CorrectionFile | None]:
+    """Return what learns the path of the options, and the correction file that it goes on from."""
+    from rx90_common.description.robot_files import RobotFiles
+    from rx90_emulator.correction.file import correction_files, load_correction
+    from rx90_emulator.correction.learning import Learner
+    from rx90_emulator.correction.methods import NormOptimal
+    from rx90_emulator.loop.setup import Setup
+
+    for file in correction_files(options.output):
+        check_replaced(file, force=options.force)
+    setup = Setup.load(RobotFiles.of_options(options))
+    path = _path(options.path, setup)
+    method = NormOptimal(options.effort, options.joints_weight, options.cutoff)
+    earlier = None if options.previous is None else load_correction(options.previous)
+    previous = None if earlier is None else earlier.fitting(setup, path).offsets
+    return Learner(setup, path, method, tip=tip, noise=options.noise, previous=previous), earlier
+
+
+def _end(options: argparse.Namespace, learned: LearnedCorrection, earlier: CorrectionFile | None) -> int:
+    """Show the trials, and write the best correction."""
+    from rx90_emulator.correction.learning import summary
+
+    print(summary(learned.trials))
+    said = f"worst {learned.best.worst * 1e3:.4f} mm"
+    why = f"learning has failed: {learned.remark}" if learned.remark else ""
+    return _write(options, learned, earlier, said, why)
+
+
+def _write(
+    options: argparse.Namespace, learned: LearnedCorrection, earlier: CorrectionFile | None, said: str, why: str
+) -> int:
+    from rx90_emulator.correction.file import write_correction
+
+    write_correction(learned, options.output, earlier)
+    print(one_line(f"written to {options.output}: {said}"))
+    if why:
+        print(one_line(why))
+        return VERDICT_NO
+    return DONE
 
 
 def _path(name: str, setup: Setup) -> CorrectablePath:
@@ -180,11 +241,9 @@ def _add_precompensate(precompensate: argparse.ArgumentParser) -> None:
     precompensate.add_argument("file", type=Path, metavar="FILE", help="correction file")
     precompensate.add_argument("path", metavar="PATH", help="task, path or trajectory that it is of")
     about = "trajectory to write: .yaml, or .csv for its set-points: s, joints in deg, tool in mm and deg"
-    precompensate.add_argument("--output", type=place, metavar="FILE", required=True, help=about)
-    precompensate.add_argument("--force", action="store_true", help="replace a trajectory that exists")
-    precompensate.add_argument(
-        "--cutoff", type=POSITIVE, metavar="HZ", help="of the filter that smooths the offsets (5)"
-    )
+    add_output(precompensate, place, about, metavar="FILE", required=True)
+    add_force(precompensate)
+    _add_cutoff(precompensate, "of the filter that smooths the offsets (5)")
     add_robot_arguments(precompensate)
     precompensate.set_defaults(interrupted="nothing was written")
 
@@ -216,7 +275,9 @@ def _precompensate(options: argparse.Namespace) -> None:
 
 
 _VERBS = (
-    (_add_learn, _learn, "learn a correction"),
+    (_add_engine, _engine, "learn a correction from trials in the closed loop without ROS"),
+    (_add_nodes, _nodes, "learn it from trials on the running nodes"),
+    (_add_recorded, _recorded, "learn from one recorded trial of an arm"),
     (_add_show, _show, "show what a correction file holds"),
     (_add_precompensate, _precompensate, "write the corrected path as a trajectory"),
 )

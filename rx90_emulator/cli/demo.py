@@ -11,10 +11,9 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_common.exchange.ros_start import prepare
 from rx90_emulator.cli.options import (
-    add_page_arguments,
+    add_output,
     add_robot_arguments,
     new_folder,
-    page_arguments,
     stay_on_this_machine,
 )
 
@@ -23,22 +22,18 @@ _ANY_PORT = 0  # the demonstration need not know which
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("--output", type=new_folder, help="folder for bags, logs and report (out/demo/<time>)")
+    add_output(parser, new_folder, "folder for bags, logs and report (out/demo/<time>)", metavar="FOLDER")
     parser.add_argument(
         "--short", action="store_true", help="as fast as the machine allows instead of paced at real time"
     )
     parser.add_argument("--composed", action="store_true", help="simulation and controller in one process (rx90_cell)")
-    parser.add_argument("--view", action="store_true", help="with a page in the browser that shows the arm (rx90_view)")
-    add_page_arguments(parser.add_argument_group("page, with --view"), _ANY_PORT)
+    parser.add_argument("--view", action="store_true", help="with a page in the browser that shows the arm (rx90 view)")
     add_robot_arguments(parser, "task")
     parser.set_defaults(interrupted="every process has ended")
 
 
 def main(options: argparse.Namespace) -> int:
     """Return 0 for a run that is identical to the closed loop and within the path limit, else 1."""
-    view = page_arguments(options)
-    if view and not options.view:
-        raise ConfigError(f"{view[0]} without --view; accepted: with --view, for its page")
     stay_on_this_machine()
     prepare()
     # Here, because a wrong option must not wait for them.
@@ -47,7 +42,7 @@ def main(options: argparse.Namespace) -> int:
     robot = DEFAULT_ROBOT if options.robot is None else options.robot
     files = RobotFiles.of_options(options)
     pace = 0.0 if options.short else 1.0
-    page = ["--port", _ANY_PORT, *view] if options.view else None  # of two ports the last counts
+    page = ["--port", _ANY_PORT] if options.view else None
     demonstration = Demonstration(robot, files, pace, options.composed, page)
     return 0 if demonstration.run(_folder(options.output)) else 1
 

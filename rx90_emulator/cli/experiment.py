@@ -4,142 +4,231 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import one_line
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import MODEL_FILES, NO_TOOL
+from rx90_common.description.wall import Wall
 from rx90_emulator.cli.options import (
     FINITE,
     POSITIVE,
+    URDF,
+    Verb,
+    add_joints_argument,
     add_node_arguments,
+    add_output,
+    add_rate,
     add_robot_arguments,
-    check_apart,
-    check_needs,
-    is_given,
+    add_verbs,
     new_folder,
     node_of,
     whole_number,
 )
-from rx90_emulator.identification.experiments.options import QUICK, RANGES, ExcitationOptions, Wall
+from rx90_emulator.identification.experiments.options import QUICK, RANGES, ExcitationOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rx90_emulator.identification.experiments.arms import PlannedArm
+    from rx90_emulator.identification.experiments.plan import Experiment
+    from rx90_emulator.loop.setup import Setup
 
 _EPILOG = """\
-Bags that are complete stay, whatever ends the run. No motion is checked for collisions, but for those of --excitation
+Bags that are complete stay, whatever ends the run. No motion is checked for collisions, but for those of excitation:
 of the arm with itself and with the planes given by --keep-above and --wall, by the shapes of <collision> in the URDF.
 Set-points keep the joints' ranges and speed limits, and the expected torque keeps what the URDF allows.
-plan --excitation --urdf FILE without other files of a robot is for any arm, of which no more is known than its URDF:
-example: rx90_experiment plan --excitation --urdf panda.urdf --output motions
 """
 _TIMEOUT = 60.0  # s
-_RATE = 1000.0  # Hz, of written set-points
-_OF_A_ROBOT = ("robot", "drives", "friction", "controller", "poses")
-"""Options that name a robot of this project, or a file that arms of which only the URDF is known do not have."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verbs and their options."""
-    parser.epilog = _EPILOG
-    verbs = parser.add_subparsers(dest="verb", required=True, metavar="plan|run")
-    plan = verbs.add_parser("plan", help="show the experiments, their time and number of runs; moves nothing")
-    run = verbs.add_parser("run", help="run the experiments and record a bag of each")
-    for verb in (plan, run):
-        verb.add_argument("--group", action="append", default=[], metavar="NAME",
-                          help="only this group (joint_3, joints_5_6_against ...); may be repeated")  # fmt: skip
-        verb.add_argument("--quick", action="store_true", help="fewer speeds, one pose, one micro-oscillation")
-        verb.add_argument("--speeds", type=whole_number, metavar="N",
-                          help="speeds in each direction (28); the more, the smaller the deviations")  # fmt: skip
-        _add_excitation(verb)
-        add_robot_arguments(verb, *MODEL_FILES, "poses")
-    plan.add_argument("--joints", nargs="+", metavar="NAME",
-                      help="with --urdf of any arm: its joints of interest from base to tip; the others are held at 0 "
-                      "(all that turn and mimic no other)")  # fmt: skip
-    plan.add_argument("--acceleration", type=POSITIVE, metavar="A",
-                      help="with --urdf of any arm: limit of each joint, rad/s^2 (speed limit in 0.5 s)")  # fmt: skip
-    plan.add_argument("--output", type=new_folder, metavar="FOLDER",
-                      help="write each motion there, for any controller: NAME.yaml, a trajectory, and NAME.csv, its "
-                      "set-points; must not exist")  # fmt: skip
-    plan.add_argument("--rate", type=POSITIVE, metavar="HZ", help=f"of the set-points in NAME.csv, Hz ({_RATE:g})")
-    run.set_defaults(interrupted="complete bags stay")
-    where = run.add_mutually_exclusive_group(required=True)
-    where.add_argument("--engine", action="store_true", help="in the closed loop without ROS, fast")
-    where.add_argument("--nodes", action="store_true", help="on the controller node, in its time")
-    run.add_argument(
-        "--output", type=new_folder, required=True, metavar="FOLDER", help="folder for the bags; must not exist"
+    add_verbs(parser, (
+        (_add_sliding, _sliding, "one joint after the other: sweeps and micro-oscillations"),
+        (_add_excitation, _excitation, "a Fourier series of all joints at once"),
+    ))  # fmt: skip
+
+
+def _add_sliding(parser: argparse.ArgumentParser) -> None:
+    add_verbs(parser, _verbs(_add_sliding_options))
+
+
+def _sliding(_: argparse.Namespace) -> None:
+    """Sweeps at constant velocity and micro-oscillations, joint after joint, for rx90 identify sliding."""
+
+
+def _add_excitation(parser: argparse.ArgumentParser) -> None:
+    any_arm = (_add_any, _any, "plan them for any arm, of which no more is known than its URDF")
+    add_verbs(parser, (*_verbs(_add_robot_excitation), any_arm))
+
+
+def _excitation(_: argparse.Namespace) -> None:
+    """A Fourier series of all joints at once, for rx90 identify excitation."""
+
+
+def _verbs(add_options: Callable[[argparse.ArgumentParser], None]) -> tuple[Verb, ...]:
+    """Return the verbs of a kind of experiments, whose own options `add_options` adds."""
+
+    def add_plan(parser: argparse.ArgumentParser) -> None:
+        add_options(parser)
+        _add_motions(parser)
+
+    def add_engine(parser: argparse.ArgumentParser) -> None:
+        add_options(parser)
+        _add_bags(parser)
+
+    def add_nodes(parser: argparse.ArgumentParser) -> None:
+        add_engine(parser)
+        add_node_arguments(parser, _TIMEOUT)
+
+    return (
+        (add_plan, _plan, "show the experiments, their time and number of runs; moves nothing"),
+        (add_engine, _engine, "run them in the closed loop without ROS, fast, and write a bag of each"),
+        (add_nodes, _nodes, "run them on the controller node, in its time, and record a bag of each"),
     )
-    add_node_arguments(run, _TIMEOUT)
 
 
-def _add_excitation(verb: argparse.ArgumentParser) -> None:
-    verb.add_argument("--excitation", action="store_true", help="instead: a Fourier series of all joints at once, for "
-                      "rx90_identify --excitation")  # fmt: skip
-    group = verb.add_argument_group("with --excitation")
+def _add_robot_excitation(parser: argparse.ArgumentParser) -> None:
+    _add_excitation_options(parser)
+    add_robot_arguments(parser, *MODEL_FILES, "poses")
+
+
+def _add_any(parser: argparse.ArgumentParser) -> None:
+    _add_excitation_options(parser)
+    parser.add_argument("--urdf", type=Path, metavar="FILE", required=True, help=URDF)
+    parser.add_argument("--tool", metavar="FILE", help="tool file (none)")
+    add_joints_argument(parser)
+    parser.add_argument("--acceleration", type=POSITIVE, metavar="A",
+                        help="limit of each joint, rad/s^2 (speed limit in 0.5 s)")  # fmt: skip
+    _add_motions(parser)
+
+
+def _add_sliding_options(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(excitation=False, home=None)
+    parser.epilog = _EPILOG
+    parser.add_argument("--group", action="append", default=[], metavar="NAME",
+                        help="only this group (joint_3, joints_5_6_against ...); may be repeated")  # fmt: skip
+    _add_quick(parser, "fewer speeds, one pose, one micro-oscillation")
+    parser.add_argument("--speeds", type=whole_number, metavar="N",
+                        help="speeds in each direction (28); the more, the smaller the deviations")  # fmt: skip
+    add_robot_arguments(parser, *MODEL_FILES, "poses")
+
+
+def _add_excitation_options(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(excitation=True)
+    parser.epilog = _EPILOG
+    _add_quick(parser, "one tempo, a short search")
     for name, (_, _, meaning) in RANGES.items():
         default = vars(ExcitationOptions)[name]
         kind = whole_number if isinstance(default, int) else FINITE
-        group.add_argument(f"--{name}", type=kind, metavar="N", help=f"{meaning} ({default})")
-    group.add_argument("--keep-above", type=FINITE, metavar="Z", help="a table: links and tool stay above this height "
-                       "over the base's origin, m")  # fmt: skip
-    group.add_argument("--wall", type=FINITE, nargs=4, action="append", metavar=("NX", "NY", "NZ", "D"),
-                       help="a wall: links and tool stay where NX x + NY y + NZ z > D in the base's frame, m; may be "
-                       "repeated")  # fmt: skip
-    group.add_argument("--home", type=FINITE, nargs="+", metavar="RAD",
-                       help="where every run begins and ends, one value per joint (the home of the robot's poses; the "
-                       "middle of the joints' ranges where there are none)")  # fmt: skip
+        parser.add_argument(f"--{name}", type=kind, default=default, metavar="N", help=f"{meaning} (%(default)s)")
+    parser.add_argument("--keep-above", type=FINITE, metavar="Z", help="a table: links and tool stay above this height "
+                        "over the base's origin, m")  # fmt: skip
+    parser.add_argument("--wall", type=FINITE, nargs=4, action="append", default=[], metavar=("NX", "NY", "NZ", "D"),
+                        help="a wall: links and tool stay where NX x + NY y + NZ z > D in the base's frame, m; may be "
+                        "repeated")  # fmt: skip
+    parser.add_argument("--home", type=FINITE, nargs="+", metavar="RAD",
+                        help="where every run begins and ends, one value per joint (the home of the robot's poses; the "
+                        "middle of the joints' ranges where there are none)")  # fmt: skip
 
 
-def _excitation_options(options: argparse.Namespace) -> ExcitationOptions | None:
-    """Return the options of excitation runs; None without --excitation."""
-    check_needs(options, (*RANGES, "keep_above", "wall", "home"), ("excitation",))
-    check_apart(options, ("group", "speeds"), "excitation", "without it, all joints move at once")
-    if not options.excitation:
-        return None
-    walls = [Wall.through(numbers) for numbers in options.wall or ()]
+def _add_quick(parser: argparse.ArgumentParser, text: str) -> None:
+    parser.add_argument("--quick", action="store_true", help=text)
+
+
+def _add_motions(parser: argparse.ArgumentParser) -> None:
+    text = (
+        "write each motion there, for any controller: NAME.yaml, a trajectory, and NAME.csv, its set-points; must not "
+        "exist"
+    )
+    add_output(parser, new_folder, text, metavar="FOLDER")
+    add_rate(parser)
+
+
+def _add_bags(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(interrupted="complete bags stay")
+    add_output(parser, new_folder, "folder for the bags; must not exist", metavar="FOLDER", required=True)
+
+
+def _plan(options: argparse.Namespace) -> None:
+    """Show the experiments, and write their motions if asked to; nothing moves."""
+    # Here, because --help must not wait for them.
+    from rx90_emulator.identification.experiments.arms import PlannedArm
+
+    setup = _setup(options)
+    arm = PlannedArm.from_setup(setup, options.home)
+    _write(options, arm, _described(options, setup, arm))
+
+
+def _any(options: argparse.Namespace) -> None:
+    """Plan excitation runs for an arm of which only the URDF is known, and write them for its own controller."""
+    from rx90_emulator.identification.experiments.arms import PlannedArm
+
+    tool = None if options.tool in (None, NO_TOOL) else resolve_config(options.tool)
+    arm = PlannedArm.from_urdf(options.urdf, options.joints, tool, options.home, options.acceleration)
+    _write(options, arm, _described(options, None, arm))
+
+
+def _engine(options: argparse.Namespace) -> None:
+    """Run the experiments in the closed loop without ROS, and write a bag of each."""
+    from rx90_emulator.identification.experiments import series
+
+    setup, plan = _planned(options)
+    series.record_on_engine(setup, plan, options.output)
+    print(one_line(f"bags: {options.output}"))
+
+
+def _nodes(options: argparse.Namespace) -> None:
+    """Run the experiments on the controller node, and record a bag of each."""
+    from rx90_emulator.identification.experiments import series
+
+    setup, plan = _planned(options)
+    series.record_on_nodes(setup, plan, options.output, node_of(options), options.timeout or _TIMEOUT)
+    print(one_line(f"bags: {options.output}"))
+
+
+def _planned(options: argparse.Namespace) -> tuple[Setup, Sequence[Experiment]]:
+    """Return the setup of a robot, and the experiments, which are shown."""
+    from rx90_emulator.identification.experiments.arms import PlannedArm
+
+    setup = _setup(options)
+    return setup, _described(options, setup, PlannedArm.from_setup(setup, options.home))
+
+
+def _setup(options: argparse.Namespace) -> Setup:
+    from rx90_common.description.robot_files import RobotFiles
+    from rx90_emulator.loop.setup import Setup
+
+    return Setup.load(RobotFiles.of_options(options))
+
+
+def _described(options: argparse.Namespace, setup: Setup | None, arm: PlannedArm) -> Sequence[Experiment]:
+    """Return the experiments, which are shown: sweeps of a setup, or excitation runs of an arm."""
+    from rx90_emulator.identification.experiments import series
+    from rx90_emulator.identification.experiments.plan import plan_experiments
+
+    if options.excitation or setup is None:
+        plan, remarks = series.plan_with_progress(arm, _excitation_options(options))
+        print(series.describe(plan, arm, remarks), flush=True)
+    else:
+        plan = plan_experiments(setup, options.group, quick=options.quick, speeds=options.speeds)
+        print(series.describe(plan, arm), flush=True)
+    return plan
+
+
+def _excitation_options(options: argparse.Namespace) -> ExcitationOptions:
+    walls = [Wall.through(numbers) for numbers in options.wall]
     if options.keep_above is not None:
         walls.append(Wall.above(options.keep_above))
-    given = {name: value for name in RANGES if (value := vars(options)[name]) is not None}
+    given = {name: vars(options)[name] for name in RANGES}
     return ExcitationOptions(walls=tuple(walls), **given, **(QUICK if options.quick else {}))
 
 
-def main(options: argparse.Namespace) -> None:
-    """Plan, and run if asked to."""
-    # Here, because --help must not wait for them.
-    from rx90_common.description.robot_files import RobotFiles
+def _write(options: argparse.Namespace, arm: PlannedArm, plan: Sequence[Experiment]) -> None:
+    """Write the motions of a plan, where it was asked for."""
     from rx90_emulator.identification.experiments import series
-    from rx90_emulator.identification.experiments.arms import PlannedArm
-    from rx90_emulator.identification.experiments.plan import plan_experiments
-    from rx90_emulator.loop.setup import Setup
 
-    if options.verb == "run":
-        check_needs(options, ("node", "timeout"), ("nodes",))
-    else:
-        check_needs(options, ("rate",), ("output",))
-    excitation = _excitation_options(options)
-    any_arm = excitation is not None and options.urdf is not None and not any(is_given(options, x) for x in _OF_A_ROBOT)
-    if any_arm and options.verb == "run":
-        raise IdentificationError("run --excitation --urdf without --robot; accepted: plan, whose files other "
-                                  "controllers play, or a robot of this project")  # fmt: skip
-    if not any_arm and options.verb == "plan":
-        check_needs(options, ("joints", "acceleration"), ("urdf",))
-        check_apart(options, ("joints", "acceleration"), "robot", "--urdf alone, with --excitation")
-    if any_arm:
-        tool = None if options.tool in (None, NO_TOOL) else resolve_config(options.tool)
-        arm = PlannedArm.from_urdf(Path(options.urdf), options.joints, tool, options.home, options.acceleration)
-    else:
-        setup = Setup.load(RobotFiles.of_options(options))
-        arm = PlannedArm.from_setup(setup, options.home)
-    if excitation is None:
-        plan = plan_experiments(setup, options.group, quick=options.quick, speeds=options.speeds)
-        print(series.describe(plan, arm), flush=True)
-    else:
-        plan, remarks = series.plan_with_progress(arm, excitation)
-        print(series.describe(plan, arm, remarks), flush=True)
-    if options.verb == "plan":
-        if options.output is not None:
-            series.write_motions(options.output, plan, arm, options.rate or _RATE)
-            print(one_line(f"motions: {options.output}, from home and back; bring the arm there first"))
-        return
-    if options.engine:
-        series.record_on_engine(setup, plan, options.output)
-    else:
-        series.record_on_nodes(setup, plan, options.output, node_of(options), options.timeout or _TIMEOUT)
-    print(one_line(f"bags: {options.output}"))
+    if options.output is not None:
+        series.write_motions(options.output, plan, arm, options.rate)
+        print(one_line(f"motions: {options.output}, from home and back; bring the arm there first"))

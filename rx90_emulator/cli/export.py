@@ -12,7 +12,15 @@ from pathlib import Path
 
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
 from rx90_common.base.quoting import plain
-from rx90_emulator.cli.options import POSITIVE, add_robot_arguments, check_picture, new_folder, place
+from rx90_emulator.cli.options import (
+    POSITIVE,
+    add_output,
+    add_plot,
+    add_robot_arguments,
+    check_picture,
+    new_folder,
+    place,
+)
 from rx90_emulator.export.targets import TARGETS
 
 
@@ -20,12 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.set_defaults(interrupted="nothing was written")
     parser.add_argument("target", metavar="TARGET", choices=tuple(TARGETS), help=f"simulator: {', '.join(TARGETS)}")
-    parser.add_argument("--output", required=True, type=new_folder, metavar="FOLDER",
-                        help="new folder for the simulator's files, and export.yaml on what they cost")  # fmt: skip
+    about = "new folder for the simulator's files, and export.yaml on what they cost"
+    add_output(parser, new_folder, about, metavar="FOLDER", required=True)
     parser.add_argument("--within", type=POSITIVE, metavar="NM",
                         help="exit code 1 if a friction torque differs by more than this, Nm")  # fmt: skip
-    parser.add_argument("--plot", type=place, metavar="FILE",
-                        help="picture to write: the curves, and what the simulator gets")  # fmt: skip
+    add_plot(parser, place, "picture to write: the curves, and what the simulator gets")
     speeds = parser.add_argument_group("speeds in use", "over which friction is fitted and compared")
     either = speeds.add_mutually_exclusive_group()
     either.add_argument("--speeds", nargs=2, type=POSITIVE, metavar=("LOW", "HIGH"),
@@ -58,6 +65,6 @@ def main(options: argparse.Namespace) -> int:
     if options.within is not None and done.largest > options.within:
         worst = max(done.fits, key=lambda fit: fit.worst)
         line = f"{worst.name} differs by up to {worst.worst:.3g} Nm; accepted: {options.within:g} Nm"
-        print(f"rx90_export: {line}", file=sys.stderr)
+        print(f"rx90 export: {line}", file=sys.stderr)
         return VERDICT_NO
     return DONE

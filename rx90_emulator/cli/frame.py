@@ -9,13 +9,13 @@ import gc
 import os
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
 
-from rx90_common.base.errors import DISK_ERRORS, FAILED, INTERRUPTED, REFUSED, Rx90Error, Rx90Warning
-from rx90_common.base.quoting import one_line, plain
+from rx90_common.base.errors import DISK_ERRORS, DONE, FAILED, INTERRUPTED, REFUSED, ConfigError, Rx90Error, Rx90Warning
+from rx90_common.base.quoting import one_line, plain, quoted
 from rx90_common.base.requirements import missing_module
 from rx90_common.kernels import announce_compilation
 from rx90_common.process.children import end_with_parent
@@ -28,79 +28,111 @@ from rx90_common.process.interrupts import (
 )
 from rx90_emulator.cli.node import NODES
 
-EXECUTABLES = {
-    **dict.fromkeys(NODES, "rx90_emulator.cli.node"),
-    "friction_bench": "rx90_emulator.cli.friction_rig:bench",
-    "friction_ramp": "rx90_emulator.cli.friction_rig:ramp",
-    "friction_rig_emulator": "rx90_emulator.cli.friction_rig:emulator",
-    "rx90_bag": "rx90_emulator.cli.bag",
-    "rx90_config": "rx90_emulator.cli.config",
-    "rx90_correct": "rx90_emulator.cli.correct",
-    "rx90_compare_measured": "rx90_emulator.cli.identify:compare_measured",
-    "rx90_controller_check": "rx90_emulator.cli.controller_check",
-    "rx90_demo": "rx90_emulator.cli.demo",
-    "rx90_experiment": "rx90_emulator.cli.experiment",
-    "rx90_export": "rx90_emulator.cli.export",
-    "rx90_identify": "rx90_emulator.cli.identify",
-    "rx90_line": "rx90_emulator.cli.line:line",
-    "rx90_monitor": "rx90_emulator.cli.monitor",
-    "rx90_own_controller": "rx90_emulator.cli.own_controller",
-    "rx90_path": "rx90_emulator.cli.line:path",
-    "rx90_program": "rx90_emulator.cli.program",
-    "rx90_run": "rx90_emulator.cli.run",
-    "rx90_sweep": "rx90_emulator.cli.sweep",
-    "rx90_view": "rx90_emulator.cli.view",
-}
-"""The module of each executable, or MODULE:NAME. `--help` shows the module's docstring, or that of its function NAME.
+VERBS = (
+    "experiment",
+    "identify",
+    "rig",
+    "export",
+    "run",
+    "replay",
+    "line",
+    "path",
+    "program",
+    "monitor",
+    "correct",
+    "demo",
+    "view",
+    "bag",
+    "sweep",
+    "check",
+    "example",
+    "config",
+    "completion",
+)
+"""The verbs of `rx90`. Each is a module of this folder, of its name; `--help` shows the module's docstring.
 
-- `add_arguments(parser)`, or `add_NAME`, adds the options. It may set two defaults: `interrupted` says what an
-  interrupt leaves behind, with {names} of options in it; `ros_args=[]` accepts arguments for ROS, which `main` gets
-  with their `--ros-args`.
-- `main(options)`, or NAME, returns the exit code or None, and raises Rx90Error; what is slow to import it imports
-  itself. `options.executables` is this table. A command of verbs (`add_verbs`) has no `main`.
+- `add_arguments(parser)` adds the options. It may set two defaults: `interrupted` says what an interrupt leaves behind,
+  with {names} of options in it; `ros_args=[]` accepts arguments for ROS, which `main` gets with their `--ros-args`.
+- `main(options)` returns the exit code or None, and raises Rx90Error; what is slow to import it imports itself. A verb
+  that has verbs of its own (`add_verbs`) has no `main`.
+"""
+
+EXECUTABLES = ("rx90", *NODES)
+
+COMMANDS = (*NODES, *(f"rx90 {verb}" for verb in VERBS))
+
+_PAGE = """\
+usage: rx90 VERB [OPTIONS]                     rx90 VERB --help says more of each
+
+to study friction
+  experiment           plan and run the motions that friction is identified from
+  identify             friction or the whole dynamics from bags and tables, with report and verdict
+  rig                  torque ramps on a friction rig, real or emulated
+  export               arm and friction for MuJoCo, Gazebo or Isaac Lab
+
+to program the robot
+  run, replay          a line, path or trajectory, or those of a bag, without ROS, with the path error
+  line, path           the same motions, sent to the controller node
+  program, monitor     programs of V+, and the prompt of V+ on a serial line
+  correct              learn a correction of a path from trial to trial
+
+to write controllers and nodes
+  demo, view           the whole system once, with a report; the arm in the browser
+  bag                  record, compare, draw, summarise, export and import bags
+  check, example       test a controller of your own; an example of one
+  config, sweep        check parameter files and show their values; many runs over parameters
+
+nodes: ros2 run rx90_emulator rx90_cell (the arm and its controller), rx90_sim, rx90_controller, friction_bench
+shell: eval "$(rx90 completion bash)"; zsh and fish, too
 """
 
 _OBJECTS = 20_000
 """New objects between two searches for garbage: imports make 100,000 that stay, and Python would search each 700."""
 
 
-def __getattr__(name: str) -> Callable[[], int]:
-    """Return the entry point of an executable, which the console script of its name imports from here."""
-    if name not in EXECUTABLES:
-        raise AttributeError(name)
-    return partial(execute, name)
-
-
 def main() -> int:
-    """Run `python -m rx90_emulator EXECUTABLE ...`."""
-    name = sys.argv[1] if len(sys.argv) > 1 else ""
-    if name not in EXECUTABLES:
-        print(f"usage: python -m rx90_emulator {{{','.join(EXECUTABLES)}}} ...", file=sys.stderr)
-        return REFUSED
+    """Run `python -m rx90_emulator EXECUTABLE ...`, or `python -m rx90_emulator VERB ...`."""
+    words = sys.argv[1:]
+    named = words and words[0] in (*NODES, "rx90")
+    program = words.pop(0) if named else "rx90"
     end_with_parent()
-    return execute(name, sys.argv[2:])
+    return execute(program, words)
 
 
 def execute(program: str, words: Sequence[str] | None = None) -> int:
     """Run an executable as this process's only task, by default with the process's arguments; return its exit code."""
     words = sys.argv[1:] if words is None else words
-    if program in NODES and not (words and words[0].isalpha()):  # a node's verb is a command
+    if program in NODES:
         exit_on_signal()
     else:
         install_deferred_sigint()
         gc.set_threshold(_OBJECTS)
     keep_exit_code()
-    announce_compilation(program)
+    command, words = _split([*program.split(), *words])
+    announce_compilation(command)
     check_output()
     # NumPy reads it when it is imported. Matrices are small here: more threads would wait for each other in a loop, and
     # take the processor from whatever else runs.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    return run(program, words)
+    return run(command, words)
 
 
-def run(program: str, words: Sequence[str]) -> int:
-    """Run an executable with these arguments; return its exit code. Every error is one line on standard error."""
-    options = SimpleNamespace(executables=EXECUTABLES)
+rx90 = partial(execute, "rx90")
+rx90_sim = partial(execute, "rx90_sim")
+rx90_controller = partial(execute, "rx90_controller")
+rx90_cell = partial(execute, "rx90_cell")
+friction_bench = partial(execute, "friction_bench")
+
+
+def run(command: str, words: Sequence[str]) -> int:
+    """Run a command with these arguments; return its exit code. Every error is one line on standard error.
+
+    Args:
+        command: an executable; of `rx90` with its verb and those below it, such as `rx90 bag compare`.
+        words: what follows.
+    """
+    program, words = _split([*command.split(), *words])
+    options = SimpleNamespace()
     try:
         try:
             return _run(program, words, options)
@@ -131,10 +163,21 @@ def run(program: str, words: Sequence[str]) -> int:
         return INTERRUPTED
 
 
+def _split(words: Sequence[str]) -> tuple[str, list[str]]:
+    """Return the name of a command, an executable or `rx90` with its verb, and its arguments."""
+    length = 2 if words[0] == "rx90" and len(words) > 1 and words[1] in VERBS else 1
+    return " ".join(words[:length]), list(words[length:])
+
+
 def _run(program: str, words: Sequence[str], options: SimpleNamespace) -> int:
+    if program == "rx90":
+        if words and words[0] not in ("-h", "--help"):
+            raise ConfigError(f"{quoted(words[0])} is no verb; accepted: {', '.join(VERBS)}")
+        print(_PAGE, end="")
+        return DONE
     from rx90_emulator.cli.options import command_of, split_ros_args
 
-    parser, main = command_of(program, EXECUTABLES[program])
+    parser, main = command_of(program)
     own, ros_args = split_ros_args(words)
     parser.parse_args(own, options)
     if ros_args:

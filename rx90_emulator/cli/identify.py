@@ -1,22 +1,24 @@
-"""From recorded bags to a friction file, a report, and a verdict on a bag that was not used.
-
-A given friction file is held against bags with --friction.
-"""
+"""Identify friction, or the whole dynamics, from recorded bags and tables, and hold models against bags."""
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
-from rx90_common.base.errors import DONE, VERDICT_NO, IdentificationError
+from rx90_common.base.errors import DONE, VERDICT_NO
 from rx90_common.base.quoting import one_line
 from rx90_emulator.cli.options import (
     POSITIVE,
     add_arm_arguments,
+    add_force,
     add_message_arguments,
+    add_output,
     add_robot_arguments,
+    add_verbs,
     add_zero_argument,
     place,
 )
@@ -25,183 +27,211 @@ from rx90_emulator.identification.options import (
     EMULATED,
     MODEL_PARTS,
     RECORDED,
-    ExcitationTolerances,
+    SLIDING_PARTS,
     MeasuredLayout,
-    MeasuredTolerances,
     RobotOptions,
 )
+from rx90_emulator.measured_runs.options import MeasuredTolerances
 
-_USAGE = """\
-rx90_identify FOLDER --output FILE [options]          (FOLDER of excitation runs: --output FOLDER)
-       rx90_identify --sliding BAG ... [--presliding BAG ...] [--validation BAG ...] --output FILE [options]
-       rx90_identify --sliding BAG ... --output FILE --urdf FILE [--topic T] [--joints J ...] [options]
-       rx90_identify --excitation BAG ... [--validation BAG ...] --output FOLDER [--urdf FILE] [options]
-       rx90_identify --friction FILE --validation BAG ... [--report FILE] [options]"""
+if TYPE_CHECKING:
+    from rx90_emulator.identification.experiments.plan import IdentificationBags
+
 _EPILOG = """\
-example of another robot, with currents of its motors on /arm/motors:
-  rx90_identify --sliding sweeps.bag --presliding wiggle.bag --validation run.bag --output friction.yaml \\
-      --urdf arm.urdf --topic arm/motors --joints shoulder elbow --gear 100 80 --torque-constant 0.12 0.1
-a bag is a rosbag2 folder, an .mcap or .db3 file, or a .bag file of ROS 1; docs/howto/identification.md says what the
-motions should be. Where the validation bag does not confirm the result, it is written all the same, and the verdict is
-no.
+a bag is a rosbag2 folder, an .mcap or .db3 file, a .bag file of ROS 1, or a table with a signal map beside it;
+docs/howto/identification.md says what the motions should be. Where the validation bag does not confirm the result, it
+is written all the same, and the verdict is no.
 """
+_SLIDING_EPILOG = f"""\
+example of another robot, with currents of its motors on /arm/motors:
+  rx90 identify sliding sweeps.bag --presliding wiggle.bag --validation run.bag --output friction.yaml \\
+      --urdf arm.urdf --topic arm/motors --joints shoulder elbow --gear 100 80 --torque-constant 0.12 0.1
+{_EPILOG}"""
+_COMPARE_EPILOG = """\
+set-points are those of the bag (rx90_controller/reference), else its measured path, smoothed without delay. Arms of
+another structure: rx90 identify check FILE BAG ... --urdf URDF. docs/howto/measured_path.md says more.
+"""
+
+
+_TORQUE = f"{RECORDED.torque}; {EMULATED.torque} where a bag holds set-points of this project's controller"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's options."""
-    parser.usage = _USAGE
-    parser.epilog = _EPILOG
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.set_defaults(interrupted="nothing was written")
-    parser.add_argument("folder", nargs="?", type=Path, help="folder that rx90_experiment wrote")
-    bags = parser.add_argument_group("bags, instead of a folder")
-    for name, what in (
-        ("sliding", "sweeps at constant velocity: 5 speeds or more in both directions, at several poses"),
-        (
-            "presliding",
-            "micro-oscillations, 500 samples per second or more; else c0 and c1 are those of --fallback, or assumed",
-        ),
-        ("excitation", "runs in which all joints move, without plateaus: dynamics and friction of the whole arm"),
-        ("validation", "a run to hold the result against, not used before"),
-    ):
-        bags.add_argument(f"--{name}", type=Path, nargs="+", default=[], metavar="BAG", help=what)
-    bags.add_argument("--bristles", action="store_true", help="with --excitation: try bristles along the motion, too, "
-                      "where neither a Stribeck rise nor the rows of reversals ask for them")  # fmt: skip
-    bags.add_argument("--model", nargs="+", choices=(COULOMB_VISCOUS, *MODEL_PARTS), metavar="PART",
-                      help="give these parts to the friction of all elements, without a choice: "
-                      f"{', '.join((COULOMB_VISCOUS, *MODEL_PARTS))}; Coulomb and viscous friction are always there, "
-                      "and a part that ends at a bound of its range goes; bristles are of excitation runs alone (what "
-                      "predicts better is chosen)")  # fmt: skip
-    bags.add_argument("--no-rotors", action="store_true", help="with --excitation and --urdf: leave the inertias of "
-                      "rotors out, for torques of sensors between gear and link")  # fmt: skip
-    bags.add_argument("--bandwidth", type=POSITIVE, metavar="HZ", help="with --excitation: of the low-pass of the "
-                      "positions, a third of it for torques (the widest with clean accelerations)")  # fmt: skip
-    bags.add_argument("--friction", metavar="FILE", help="a given friction file, or a shipped one "
-                      "(robots/tx40/friction.yaml): it is "
-                      "held against the --validation bags, and nothing is identified")  # fmt: skip
-    result = parser.add_argument_group("result")
-    result.add_argument("--output", type=place, metavar="FILE", help="friction file to write (.yaml); with "
-                        "--excitation a folder for robot files, report and parameters")  # fmt: skip
-    result.add_argument("--report", type=place, metavar="FILE", help="report to write (beside the friction file, "
-                        ".html; with --friction none)")  # fmt: skip
-    result.add_argument("--force", action="store_true", help="replace files that exist")
-    own = "where a bag holds set-points of this project's controller"
-    result.add_argument("--torque-tolerance", type=POSITIVE, metavar="SHARE",
-                        help=f"RMS difference over RMS torque, of each joint ({RECORDED.torque}; without --excitation "
-                        f"{EMULATED.torque} {own})")  # fmt: skip
-    result.add_argument("--total-torque-tolerance", type=POSITIVE, metavar="SHARE",
-                        help=f"the same of all joints together ({RECORDED.total})")  # fmt: skip
+    """Add the verbs and their options."""
+    add_verbs(parser, _VERBS)
+
+
+def _add_sliding(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = _SLIDING_EPILOG
+    _add_bags(parser, "sweeps at constant velocity, 5 speeds or more in both directions, at several poses, or a folder "
+              "that rx90 experiment wrote")  # fmt: skip
+    parser.add_argument("--presliding", type=Path, nargs="+", default=[], metavar="BAG",
+                        help="micro-oscillations, 500 samples per second or more; else c0 and c1 are those of "
+                        "--fallback, or assumed")  # fmt: skip
+    _add_identification(parser, SLIDING_PARTS, "friction file to write (.yaml), with the report beside it (.html)")
+    add_force(parser)
+    _add_tolerances(parser, _TORQUE, RECORDED.total)
     add_arm_arguments(parser)
 
 
-_WITHOUT = "without excitation runs"
-_UNUSED = (
-    ("excitation", "folder sliding presliding friction report", "with --excitation",
-     "--validation BAG ... alone, and --output FOLDER"),
-    ("check sweeps", "bristles bandwidth no_rotors", _WITHOUT, "with --excitation BAG ..."),
-    ("check", "folder sliding presliding output model", "with --friction",
-     "--validation BAG ... alone, for nothing is identified or written"),
-)  # fmt: skip
-"""What a command line is for, options that do not count for it, what it is with, and what is accepted instead."""
+def _add_excitation(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = _EPILOG
+    _add_bags(parser, "runs in which all joints move, without plateaus, or a folder that rx90 experiment wrote")
+    _add_identification(parser, MODEL_PARTS, "folder for robot files, report and parameters")
+    parser.add_argument("--bristles", action="store_true", help="try bristles along the motion, too, where neither a "
+                        "Stribeck rise nor the rows of reversals ask for them")  # fmt: skip
+    parser.add_argument("--no-rotors", action="store_true", help="of an arm of --urdf: leave the inertias of rotors "
+                        "out, for torques of sensors between gear and link")  # fmt: skip
+    _add_bandwidth(parser, "of the low-pass of the positions, a third of it for torques (the widest with clean "
+                   "accelerations)")  # fmt: skip
+    add_force(parser)
+    _add_tolerances(parser, RECORDED.torque, RECORDED.total)
+    add_arm_arguments(parser)
 
 
-def main(options: argparse.Namespace) -> int:
-    """Return 0 where the validation confirms the result, or there is none, else 1."""
-    what = "excitation" if _holds_excitation(options) else "sweeps" if options.friction is None else "check"
-    for whats, names, how, accepted in _UNUSED:
-        given = next(filter(None, (_given(options, name) for name in names.split())), "")
-        if given and what in whats:
-            raise IdentificationError(f"{given} {how}; accepted: {accepted}")
-    if what != "check" and options.output is None:
-        other = "--output FOLDER, which the robot's files are written into"
-        asked = other if what == "excitation" else "--output FILE, the friction file to write"
-        raise IdentificationError(f"no --output; accepted: {asked}")
+def _add_check(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = _EPILOG
+    parser.add_argument("friction", metavar="FILE", help="friction file, or a shipped one (robots/tx40/friction.yaml)")
+    _add_bags(parser, "bags of the arm")
+    _add_report(parser, "none")
+    _add_tolerances(parser, _TORQUE, RECORDED.total)
+    add_arm_arguments(parser)
+
+
+def _add_bags(parser: argparse.ArgumentParser, text: str) -> None:
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.set_defaults(interrupted="nothing was written")
+    parser.add_argument("bags", type=Path, nargs="+", metavar="BAG", help=text)
+
+
+def _add_identification(parser: argparse.ArgumentParser, parts: Sequence[str], output: str) -> None:
+    parser.add_argument("--validation", type=Path, nargs="+", default=[], metavar="BAG",
+                        help="a run to hold the result against, not used before")  # fmt: skip
+    parser.add_argument("--model", nargs="+", choices=(COULOMB_VISCOUS, *parts), metavar="PART",
+                        help="give these parts to the friction of all elements, without a choice: "
+                        f"{', '.join((COULOMB_VISCOUS, *parts))}; Coulomb and viscous friction are always there, and "
+                        "a part that ends at a bound of its range goes (what predicts better is chosen)")  # fmt: skip
+    add_output(parser, place, output, metavar="FILE", required=True)
+
+
+def _add_report(parser: argparse.ArgumentParser, default: str) -> None:
+    parser.add_argument("--report", type=place, metavar="FILE", help=f"report to write ({default})")
+    add_force(parser)
+
+
+def _add_bandwidth(parser: argparse.ArgumentParser, text: str) -> None:
+    parser.add_argument("--bandwidth", type=POSITIVE, metavar="HZ", help=text)
+
+
+def _add_tolerances(parser: argparse.ArgumentParser, torque: float | str, total: float) -> None:
+    parser.add_argument("--torque-tolerance", type=POSITIVE, metavar="SHARE",
+                        help=f"RMS difference over RMS torque, of each joint ({torque})")  # fmt: skip
+    parser.add_argument("--total-torque-tolerance", type=POSITIVE, metavar="SHARE",
+                        help=f"the same of all joints together ({total})")  # fmt: skip
+
+
+def _sliding(options: argparse.Namespace) -> int:
+    """Identify friction from sweeps at constant velocity, and its bristles from micro-oscillations."""
     # Here, because --help must not wait for it.
+    from rx90_emulator.identification import identify, job
+    from rx90_emulator.identification.experiments.plan import IdentificationBags
+
+    series = _series(options.bags)
+    bags = IdentificationBags(
+        sliding=series.sliding,
+        presliding=(*series.presliding, *options.presliding),
+        validation=(*series.validation, *options.validation),
+    )
+    robot = _robot(options)
+    tolerances = _tolerances(options)
+    against = job.run_identification(
+        lambda step: identify.identify_friction(bags, robot, tolerances, step, model=options.model),
+        options.output,
+        folder=False,
+        force=options.force,
+    )
+    return _verdict(against and f"{against} the result")
+
+
+def _excitation(options: argparse.Namespace) -> int:
+    """Identify dynamics and friction of the whole arm from runs in which all joints move."""
+    from rx90_emulator.identification import excitation, job
+
+    series = _series(options.bags)
+    validation = (*series.validation, *options.validation)
+    robot = _robot(options)
+    tolerances = _tolerances(options)
+    against = job.run_identification(
+        lambda step: excitation.identify_excitation(
+            series.excitation, robot, validation, tolerances,
+            bristles=options.bristles, model=options.model, rotors=not options.no_rotors,
+            bandwidth=options.bandwidth, progress=step,
+        ),
+        options.output,
+        folder=True,
+        force=options.force,
+    )  # fmt: skip
+    return _verdict(against and f"{against} the result")
+
+
+def _check(options: argparse.Namespace) -> int:
+    """Hold a friction file against bags; nothing is identified."""
     from rx90_emulator.identification import job
 
-    robot = RobotOptions(
-        **{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__ if hasattr(options, name)}
+    against = job.run_check(
+        options.friction, options.bags, _robot(options), _tolerances(options), options.report, force=options.force
     )
+    return _verdict(against and f"{against} {options.friction}")
+
+
+def _series(paths: Sequence[Path]) -> IdentificationBags:
+    """Return bags by use: of a folder that `rx90 experiment` wrote as its index says, others as sweeps and runs."""
+    from rx90_emulator.identification.experiments.plan import INDEX, IdentificationBags, read_index
+
+    sliding: list[Path] = []
+    presliding: list[Path] = []
+    validation: list[Path] = []
+    excitation: list[Path] = []
+    for path in paths:
+        if (path / INDEX).exists():
+            series = read_index(path)
+            sliding.extend(series.sliding)
+            presliding.extend(series.presliding)
+            validation.extend(series.validation)
+            excitation.extend(series.excitation)
+        else:
+            sliding.append(path)
+            excitation.append(path)
+    return IdentificationBags(tuple(sliding), tuple(presliding), tuple(validation), tuple(excitation))
+
+
+def _robot(options: argparse.Namespace) -> RobotOptions:
+    stated = {field.name for field in fields(RobotOptions)}
+    return RobotOptions(**{name: value for name, value in vars(options).items() if name in stated})
+
+
+def _tolerances(options: argparse.Namespace) -> dict[str, float]:
     limits = {"torque": options.torque_tolerance, "total": options.total_torque_tolerance}
-    tolerances = {name: value for name, value in limits.items() if value is not None}
-    if what == "check":
-        confirmed = job.run_check(
-            options.friction, options.validation, robot, tolerances, options.report, force=options.force
-        )
-    elif what == "sweeps":
-        confirmed = job.run_identification(
-            _bags(options), robot, tolerances, options.output, options.report,
-            model=options.model, force=options.force,
-        )  # fmt: skip
-    else:
-        wider = ExcitationTolerances(tolerances.get("total", RECORDED.total), tolerances.get("torque", RECORDED.torque))
-        confirmed = job.run_excitation(
-            options.excitation, robot, options.validation, wider, options.output,
-            bristles=options.bristles, model=options.model, rotors=not options.no_rotors,
-            bandwidth=options.bandwidth, force=options.force,
-        )  # fmt: skip
-    if confirmed:
+    return {name: value for name, value in limits.items() if value is not None}
+
+
+def _verdict(against: str) -> int:
+    """Return the exit code, and say what speaks against a result, if anything does."""
+    if not against:
         return DONE
-    whose = options.friction if what == "check" else "the result"
-    print(one_line(f"rx90_identify: the validation does not confirm {whose}"), file=sys.stderr)
+    print(one_line(f"rx90 identify: {against}"), file=sys.stderr)
     return VERDICT_NO
 
 
-def _given(options: argparse.Namespace, name: str) -> str:
-    """Return an option as it was given, with its first value; "" where it was not."""
-    value = getattr(options, name)
-    if value in (None, False, []):
-        return ""
-    option = f"--{name.replace('_', '-')} " * (name != "folder")
-    return option.strip() if value is True else f"{option}{value[0] if isinstance(value, list) else value}"
-
-
-def _holds_excitation(options: argparse.Namespace) -> bool:
-    """Return whether the bags, or those of the folder, are excitation runs; those of a folder then are as if named."""
-    single = [options.friction, *options.sliding, *options.presliding, *options.validation]
-    if options.excitation or options.folder is None or any(single):
-        return bool(options.excitation)
-    from rx90_emulator.identification.experiments.plan import read_index
-
-    bags = read_index(options.folder)
-    if bags.excitation:
-        options.folder = None
-        options.excitation = bags.excitation
-        options.validation = bags.validation
-    return bool(bags.excitation)
-
-
-def _bags(options: argparse.Namespace) -> Any:
-    """Return the folder, or the single bags by use."""
-    from rx90_emulator.identification.experiments.plan import IdentificationBags
-
-    single = [*options.sliding, *options.presliding, *options.validation]
-    if options.folder is not None and single:
-        raise IdentificationError(f"{options.folder} and {single[0]}; accepted: a folder or single bags, not both")
-    return options.folder or IdentificationBags.of(options.sliding, options.presliding, options.validation)
-
-
-_MEASURED_EPILOG = """\
-set-points are those of the bag (rx90_controller/reference), else its measured path, smoothed without delay. Arms of
-another structure: rx90_identify --friction FILE --validation BAG --urdf URDF. docs/howto/measured_path.md says more.
-"""
-
-
-def add_compare_measured(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `rx90_compare_measured`."""
-    parser.epilog = _MEASURED_EPILOG
+def _add_compare(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = _COMPARE_EPILOG
     parser.set_defaults(interrupted="nothing was written")
     parser.add_argument("bag", type=Path, metavar="BAG", help="measured: folder, .mcap, .db3 or ROS 1 .bag file")
-    parser.add_argument("--report", type=place, metavar="FILE", help="report to write (.html)")
-    parser.add_argument("--force", action="store_true", help="replace a report that exists")
-    parser.add_argument("--bandwidth", type=POSITIVE, metavar="HZ",
-                        help="of the measured path as set-points; torques and positions are compared below a third of "
-                        "it (from the data)")  # fmt: skip
+    _add_report(parser, "none")
+    _add_bandwidth(parser, "of the measured path as set-points; torques and positions are compared below a third of it "
+                   "(from the data)")  # fmt: skip
     limits = MeasuredTolerances()
-    parser.add_argument("--torque-tolerance", type=POSITIVE, default=limits.torque, metavar="SHARE",
-                        help="RMS difference over RMS torque, of each joint (%(default)s)")  # fmt: skip
-    parser.add_argument("--total-torque-tolerance", type=POSITIVE, default=limits.total_torque, metavar="SHARE",
-                        help="the same of all joints together (%(default)s)")  # fmt: skip
+    _add_tolerances(parser, limits.torque, limits.total_torque)
+    parser.set_defaults(torque_tolerance=limits.torque, total_torque_tolerance=limits.total_torque)
     parser.add_argument("--position-tolerance", type=POSITIVE, default=limits.position, metavar="RAD",
                         help="largest difference of a joint's position, rad (%(default)s)")  # fmt: skip
     add_robot_arguments(parser)
@@ -210,11 +240,11 @@ def add_compare_measured(parser: argparse.ArgumentParser) -> None:
     add_zero_argument(layout)
 
 
-def compare_measured(options: argparse.Namespace) -> int:
+def _compare(options: argparse.Namespace) -> int:
     """A measured bag against the closed loop without ROS along the same set-points: torques, positions, a verdict."""
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.identification.job import run_comparison
+    from rx90_emulator.measured_runs.output import run_comparison
 
     layout = MeasuredLayout(
         topic=options.topic,
@@ -227,9 +257,15 @@ def compare_measured(options: argparse.Namespace) -> int:
         options.torque_tolerance, options.total_torque_tolerance, options.position_tolerance
     )
     files = RobotFiles.of_options(options)
-    if run_comparison(
+    agrees = run_comparison(
         options.bag, files, layout, tolerances, options.bandwidth, options.report, force=options.force
-    ):  # fmt: skip
-        return DONE
-    print(one_line(f"rx90_compare_measured: {options.bag} and the simulation do not agree"), file=sys.stderr)
-    return VERDICT_NO
+    )
+    return _verdict("" if agrees else f"{options.bag} and the simulation do not agree")
+
+
+_VERBS = (
+    (_add_sliding, _sliding, "friction from sweeps at constant velocity"),
+    (_add_excitation, _excitation, "dynamics and friction from runs in which all joints move"),
+    (_add_check, _check, "hold a friction file against bags"),
+    (_add_compare, _compare, "hold the simulated arm, with its controller, against a measured bag"),
+)

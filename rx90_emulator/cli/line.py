@@ -1,4 +1,4 @@
-"""The commands that move the tool: along a straight line, or a path of lines, arcs and splines."""
+"""Move the tool along a straight line with a trapezoidal velocity profile."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from rx90_common.base.errors import LineError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.options import (
     FINITE,
-    POSITIVE,
     add_node_arguments,
+    add_output,
+    add_rate,
     add_robot_arguments,
+    add_start_time,
     node_of,
     place,
 )
@@ -28,11 +30,7 @@ if TYPE_CHECKING:
 
 _EPILOG = """\
 Positions are those of the tool centre point in base_link; the tool's z axis is the beam, and rpy 0 180 0
-points it down. example: rx90_line --start 0.6 -0.2 0.2 --end 0.6 0.2 0.2 --speed 0.1 --approach
-"""
-_PATH_EPILOG = """\
-The path file says where its points come from: itself, a CSV file or a DXF drawing.
-example: rx90_path seam.yaml --approach
+points it down. example: rx90 line --start 0.6 -0.2 0.2 --end 0.6 0.2 0.2 --speed 0.1 --approach
 """
 # s, without --timeout: for nodes, and more for one that compiles when it starts
 _TIMEOUT = 30.0
@@ -41,16 +39,16 @@ _PLAIN_OPTIONS = ("start", "end", "speed", "acceleration", "start_posture")
 """Options that go into the task as they are."""
 
 
-def add_line(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `rx90_line`."""
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
     parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("task", nargs="?", metavar="TASK",
+                        help="task file (the robot's task.yaml); what is given beside it wins over it, and start and "
+                        "end together make a line of their own")  # fmt: skip
     motion = parser.add_argument_group("line")
     xyz = ("X", "Y", "Z")
     rpy = ("ROLL", "PITCH", "YAW")
-    given = motion.add_mutually_exclusive_group()
-    given.add_argument("--from-file", metavar="TASK", help="task file; options given beside it win over it")
-    given.add_argument("--reference", action="store_true", help="the robot's reference task, its task.yaml, likewise")
     motion.add_argument("--start", type=FINITE, nargs=3, metavar=xyz, help="m")
     motion.add_argument("--end", type=FINITE, nargs=3, metavar=xyz, help="m")
     motion.add_argument("--speed", type=FINITE, help="m/s (0.1)")
@@ -60,53 +58,32 @@ def add_line(parser: argparse.ArgumentParser) -> None:
                          help="of an arm without a spherical wrist: joint positions near which it starts (middle of "
                          "the ranges); without --start the line starts there, with the tool as it then is")  # fmt: skip
     add_robot_arguments(parser, "urdf", "tool", "controller")
-    _add_sending(parser)
+    add_sending(parser)
 
 
-def _add_sending(parser: argparse.ArgumentParser) -> None:
+def add_sending(parser: argparse.ArgumentParser) -> None:
     """Add the options of what becomes of a plan."""
-    parser.set_defaults(ros_args=[], program=parser.prog)
+    parser.set_defaults(ros_args=[])
     send = parser.add_argument_group("sending")
-    send.add_argument("--set-point-rate", type=POSITIVE, default=1000.0, metavar="HZ", help="Hz (1000)")
+    add_rate(send)
     add_node_arguments(send, _TIMEOUT)
-    send.add_argument("--start-time", type=FINITE, default=0.0, metavar="S", help="start time, s; 0: now")
+    add_start_time(send, "0: now")
     send.add_argument("--approach", action="store_true", help="first move to the start, straight in the joints")
-    send.add_argument("--correction", metavar="FILE", help="correction file of this path, as rx90_correct learns it")
+    send.add_argument("--correction", metavar="FILE", help="correction file of this path, as rx90 correct learns it")
     send.add_argument("--dry-run", action="store_true", help="plan and print, send nothing")
     about = (
         "write the trajectory as a YAML message, or in FILE.csv set-points, with --correction corrected ones: s, "
         "joints in deg, tool in mm and deg"
     )
-    send.add_argument("--output", type=place, metavar="FILE", help=about)
+    add_output(send, place, about, metavar="FILE")
 
 
-def line(options: argparse.Namespace) -> None:
-    """Move the tool along a straight line with a trapezoidal velocity profile."""
-    filed = options.reference or options.from_file is not None
-    if not filed and (options.end is None or (options.start is None and options.start_posture is None)):
-        raise LineError("a line needs --start or --start-posture, and --end, or --from-file or --reference")
-    _plan_and_send(options, _task)
+def main(options: argparse.Namespace) -> None:
+    """Plan the line, and send it."""
+    plan_and_send(options, _task)
 
 
-def add_path(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `rx90_path`."""
-    parser.epilog = _PATH_EPILOG
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument(
-        "path", metavar="PATH", help="path file, or the name of a shipped one, such as paths/circle.yaml"
-    )
-    add_robot_arguments(parser, "urdf", "tool", "controller")
-    _add_sending(parser)
-
-
-def path(options: argparse.Namespace) -> None:
-    """Move the tool along a path of lines, arcs and splines, from a path file."""
-    from rx90_emulator.loop.path_file import load_path
-
-    _plan_and_send(options, lambda *_: load_path(options.path))
-
-
-def _plan_and_send(
+def plan_and_send(
     options: argparse.Namespace, task_of: Callable[[argparse.Namespace, RobotFiles, RobotModel], TipTask]
 ) -> None:
     """Plan what `task_of` reads for an arm, show it, write it where asked for, and send it, except with --dry-run."""
@@ -117,7 +94,7 @@ def _plan_and_send(
 
     files = RobotFiles.of_options(options)
     robot = load_robot(files.urdf, files.tool)
-    period = 1.0 / options.set_point_rate
+    period = 1.0 / options.rate
     task = task_of(options, files, robot)
     limits = load_controller(files.controller).limits(robot)
     plan = plan_line(robot, task, period, limits.acceleration)
@@ -140,13 +117,14 @@ def _task(options: argparse.Namespace, files: RobotFiles, robot: RobotModel) -> 
     from rx90_controller.lines.postures import task_from
     from rx90_controller.lines.task import LineTask, load_task
 
-    file = files.required("task") if options.reference else options.from_file
-    if file is not None:
-        task = load_task(file)
-    elif options.start is None:
+    if options.task is not None or options.end is None:
+        task = load_task(files.required("task"))
+    elif options.start is not None:
+        task = LineTask(tuple(options.start), tuple(options.end))
+    elif options.start_posture is not None:
         task = task_from(robot, options.start_posture, options.end)
     else:
-        task = LineTask(tuple(options.start), tuple(options.end))
+        task = load_task(files.required("task"))
     given: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value
         for key in _PLAIN_OPTIONS
@@ -188,9 +166,9 @@ def _send(plan: LinePlan, limits: JointLimits, correction: Correction | None, op
     from rx90_controller.node.trajectory_client import deliver
 
     approach = Approach() if options.approach else None
-    with client_node(options.program, options.timeout or _TIMEOUT, _say, options.ros_args) as client:
+    with client_node("rx90_line", options.timeout or _TIMEOUT, _say, options.ros_args) as client:
         deliver(
-            client, plan, node_of(options), limits, 1.0 / options.set_point_rate, approach,
+            client, plan, node_of(options), limits, 1.0 / options.rate, approach,
             start_time=options.start_time, correction=correction, starting=0.0 if options.timeout else _STARTING,
         )  # fmt: skip
 

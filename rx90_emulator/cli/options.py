@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import inspect
-import itertools
 import math
 import os
 import re
@@ -13,10 +12,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NoReturn
 
-from rx90_common.base.errors import ConfigError, check_bag_name, check_place
+from rx90_common.base.errors import REFUSED, ConfigError, check_bag_name, check_place
 from rx90_common.base.quoting import one_line, plain, quoted
+from rx90_common.base.share import SHIPPED_RIG
 from rx90_common.description.robot_files import (
     DEFAULT_ROBOT,
     DESCRIPTIONS,
@@ -35,6 +36,8 @@ _NEGATIVE = re.compile(r"-((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|inf|infinity|nan)$", re
 _BAR = "{desc}: {percentage:3.0f} % |{bar}| [{elapsed}<{remaining}]"
 CONTROLLER = "rx90_controller"
 """Name of the controller node, unless another one is given."""
+URDF = "its URDF with <inertial>, no xacro"
+_JOINTS = "the URDF's joints of interest from base to tip; the others are held at 0 (all movable ones)"
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -52,23 +55,27 @@ class CommandParser(argparse.ArgumentParser):
         return super().format_help() + _EXIT_CODES
 
     def error(self, message: str) -> NoReturn:
-        """Refuse the command line; words of it are quoted in the message as they are."""
-        super().error(one_line(message))
+        """Refuse the command line in one line; words of it are quoted in the message as they are."""
+        self.exit(REFUSED, f"{self.prog}: {one_line(message)}; {self.prog} --help says what is accepted\n")
 
 
-def command_of(program: str, place: str) -> tuple[CommandParser, Callable[[Any], int | None]]:
-    """Return the parser of an executable with its options, and what runs it.
+def command_of(name: str) -> tuple[CommandParser, Callable[[Any], int | None]]:
+    """Return the parser of a command, an executable or `rx90 VERB`, with its options, and what runs it."""
+    module = module_of(name)
+    parser = CommandParser(prog=name, description=inspect.getdoc(module))
+    module.add_arguments(parser)
+    return parser, getattr(module, "main", _run_verb)
 
-    Args:
-        program: its name.
-        place: of its functions, as the frame's table has it.
-    """
-    path, _, name = place.partition(":")
-    module = import_module(path)
-    run = getattr(module, name or "main", None) or (lambda options: options.run(options))
-    parser = CommandParser(prog=program, description=inspect.getdoc(run if name else module))
-    getattr(module, f"add_{name or 'arguments'}")(parser)
-    return parser, run
+
+def module_of(name: str) -> ModuleType:
+    """Return the module of a command."""
+    file = name.removeprefix("rx90 ") if name.startswith("rx90 ") else "node"
+    return import_module(f"rx90_emulator.cli.{file}")
+
+
+def _run_verb(options: Any) -> int | None:
+    """Run the verb that `add_verbs` has left in the options."""
+    return options.run(options)  # type: ignore[no-any-return]
 
 
 def split_ros_args(words: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -120,9 +127,6 @@ def whole_from(low: int, high: int) -> Callable[[str], float]:
 
 
 _PORT = whole_from(0, 65535)
-BAUD = whole_from(1200, 1_000_000)
-SEED = whole_from(0, 2**31 - 1)
-"""Type for argparse: the seed of an emulated rig."""
 
 
 def place(text: str) -> Path:
@@ -153,38 +157,12 @@ def _check_new(text: str) -> None:
         raise ConfigError(f"{plain(text)} exists; accepted: a new name")
 
 
-def is_given(options: argparse.Namespace, name: str) -> bool:
-    """Return whether an option was given: whether it is something else than None, False or an empty list."""
-    value = getattr(options, name)
-    return value is not None and value is not False and value != []
-
-
-def check_needs(options: argparse.Namespace, names: Sequence[str], others: Sequence[str]) -> None:
-    """Refuse options that have an effect only beside another one, where none of these others is given."""
-    if not any(is_given(options, name) for name in others):
-        for name in names:
-            if is_given(options, name):
-                one = "it" if len(others) == 1 else "one"
-                raise ConfigError(f"{_spelt(name)} without {' or '.join(map(_spelt, others))}; accepted: with {one}")
-
-
-def check_apart(options: argparse.Namespace, names: Sequence[str], other: str, accepted: str) -> None:
-    """Refuse options that have no effect beside another one, where both are given."""
-    for name in names:
-        if is_given(options, other) and is_given(options, name):
-            raise ConfigError(f"{_spelt(name)} with {_spelt(other)}; accepted: {accepted}")
-
-
 def check_picture(path: Path) -> None:
     """Refuse a picture of another format than Matplotlib is asked for."""
     from rx90_common.report.style import PICTURES
 
     if path.suffix.lower() not in PICTURES:
         raise ConfigError(f"--plot {plain(path)}; accepted: a file with {', '.join(PICTURES)}")
-
-
-def _spelt(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
 
 
 def stay_on_this_machine() -> None:
@@ -207,15 +185,48 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
         yield show
 
 
-def add_rig_arguments(parser: argparse.ArgumentParser, rig: str, output: str) -> None:
-    """Add the options of a command that measures on a friction rig: where it is, its file, where results go."""
-    parser.set_defaults(interrupted="the rig is switched off")
-    parser.add_argument("--port", default="emulated", help="serial device, URL or 'emulated' (default)")
-    parser.add_argument("--baud", type=BAUD, help="line rate (default: the rig file's)")
-    parser.add_argument("--rig", default=rig, help="rig file (default: %(default)s)")
-    parser.add_argument("--clear", action="store_true", help="clear the faults that the rig has latched, then begin")
-    parser.add_argument("--seed", type=SEED, help="of the emulated rig's noise (0)")
-    parser.add_argument("--output", type=new_folder, default=output, help="new folder for bag and report")
+def add_output(parser: argparse._ActionsContainer, kind: Callable[[str], Path], text: str, **more: Any) -> None:
+    """Add --output, what a command writes: a `place`, a `new_file` or a `new_folder`."""
+    parser.add_argument("-o", "--output", type=kind, help=text, **more)
+
+
+def add_force(parser: argparse.ArgumentParser) -> None:
+    """Add --force, by which what a command writes may replace files."""
+    parser.add_argument("--force", action="store_true", help="replace files that exist")
+
+
+def add_plot(parser: argparse.ArgumentParser, kind: Callable[[str], Path], text: str) -> None:
+    """Add --plot, a picture that a command writes."""
+    parser.add_argument("--plot", type=kind, metavar="FILE", help=text)
+
+
+def add_slow_only(parser: argparse.ArgumentParser) -> None:
+    """Add --slow-only, without which what is written holds the topics of the base rate, too."""
+    parser.add_argument("--slow-only", action="store_true", help="leave the two 4 kHz topics out of what is written")
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add --json, by which a command prints for programs."""
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def add_rate(parser: argparse._ActionsContainer) -> None:
+    """Add --rate, of set-points."""
+    parser.add_argument(
+        "--rate", type=POSITIVE, default=1000.0, metavar="HZ", help="of the set-points, Hz (%(default)g)"
+    )
+
+
+def add_start_time(parser: argparse._ActionsContainer, default: str) -> None:
+    """Add --start-time, of a motion."""
+    parser.add_argument(
+        "--start-time", type=FINITE, default=0.0, metavar="S", help=f"when the motion starts, s ({default})"
+    )
+
+
+def add_rig_argument(parser: argparse.ArgumentParser) -> None:
+    """Add --rig, the file of a friction rig."""
+    parser.add_argument("--rig", default=SHIPPED_RIG, metavar="FILE", help="rig file (%(default)s)")
 
 
 Verb = tuple[Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int | None], str]
@@ -233,13 +244,10 @@ def add_verbs(parser: argparse.ArgumentParser, verbs: Sequence[Verb], required: 
 
 
 def add_robot_argument(parser: argparse._ActionsContainer) -> None:
-    """Add --robot, which names all files of a robot, and --paper, which names those of the paper's choices."""
-    either = parser.add_mutually_exclusive_group()
-    either.add_argument("--robot", metavar="ROBOT",
-                        help=f"{', '.join(shipped_robots())}, or your own robot folder ({DEFAULT_ROBOT})")  # fmt: skip
-    either.add_argument("--paper", dest="robot", action="store_const", const=PAPER,
-                        help="the RX90B with the paper's literal choices: constant c1, D without the set-point's "
-                        f"velocity, a sign function; the same as --robot {PAPER}")  # fmt: skip
+    """Add --robot, which names all files of a robot."""
+    parser.add_argument("--robot", metavar="ROBOT",
+                        help=f"{', '.join(shipped_robots())}, or your own robot folder ({DEFAULT_ROBOT}; {PAPER} has "
+                        "the paper's literal choices)")  # fmt: skip
 
 
 def add_robot_arguments(parser: argparse.ArgumentParser, *names: str) -> None:
@@ -257,12 +265,6 @@ def add_page_arguments(group: argparse._ActionsContainer, port: int) -> None:
                        "alone)")  # fmt: skip
     group.add_argument("--port", type=_PORT, metavar="N", help=f"0: any free one ({port})")
     group.add_argument("--no-browser", action="store_true", help="print the address and open no browser")
-
-
-def page_arguments(options: argparse.Namespace) -> list[str]:
-    """Return the options of a page that were given, as words of a command line."""
-    words = [(f"--{name}", str(value)) for name in ("host", "port") if (value := getattr(options, name)) is not None]
-    return [*itertools.chain(*words), *["--no-browser"] * options.no_browser]
 
 
 def add_node_arguments(group: argparse._ActionsContainer, timeout: float) -> None:
@@ -288,15 +290,27 @@ def add_arm_arguments(parser: argparse.ArgumentParser) -> None:
         "another robot", "n is the number of joints; lists follow --joints. SI units, and gravity along -z of the "
         "URDF's root link."
     )  # fmt: skip
-    other.add_argument("--urdf", type=Path, metavar="FILE",
-                       help="its URDF with <inertial>, no xacro; turns the options of this group on")  # fmt: skip
-    other.add_argument("--joints", nargs="+", metavar="NAME",
-                       help="the URDF's joints of interest from base to tip; the others are held at 0 (all movable "
-                       "ones)")  # fmt: skip
+    other.add_argument("--urdf", type=Path, metavar="FILE", help=f"{URDF}; turns the options of this group on")
+    add_joints_argument(other)
     add_message_arguments(other)
     other.add_argument("--rotor-inertia", nargs="+", metavar="J",
                        type=number("0 or a positive number", lambda value: value >= 0.0),
                        help="of each motor, seen through its gear (times its square), kg m^2 (0)")  # fmt: skip
+
+
+def add_joints_argument(group: argparse._ActionsContainer, text: str = _JOINTS) -> None:
+    """Add --joints, by default those of a URDF."""
+    group.add_argument("--joints", nargs="+", metavar="NAME", help=text)
+
+
+def add_signals_argument(group: argparse._ActionsContainer, text: str) -> None:
+    """Add --signals, the signal map of messages and tables."""
+    group.add_argument(
+        "--signals",
+        type=Path,
+        metavar="FILE",
+        help=f"signal map, YAML: {text} (the file named as the table, with .yaml)",
+    )
 
 
 def add_zero_argument(group: argparse._ActionsContainer) -> None:
@@ -308,10 +322,8 @@ def add_zero_argument(group: argparse._ActionsContainer) -> None:
 
 def add_message_arguments(group: argparse._ActionsContainer, topic: str = "joint_states") -> None:
     """Add the options that say what JointState messages hold, by default of a topic."""
-    group.add_argument("--signals", type=Path, metavar="FILE",
-                       help="signal map: YAML that says the same as these options and more (names in the messages, "
-                       "coupled motors, springs, times), and what the columns of a CSV, Parquet or NPZ table hold (the "
-                       "file named as the table, with .yaml)")  # fmt: skip
+    add_signals_argument(group, "the same as these options and more (names in the messages, coupled motors, springs, "
+                         "times), and what the columns of a CSV, Parquet or NPZ table hold")  # fmt: skip
     group.add_argument("--topic", help=f"JointState topic ({topic})")
     group.add_argument("--gear", nargs="+", type=_NOT_ZERO, metavar="N",
                        help="motor turns per joint turn, negative where they turn against each other; says that "

@@ -13,9 +13,11 @@ from rx90_common.base.quoting import one_line, plain, quoted
 from rx90_emulator.cli.options import (
     POSITIVE,
     add_node_arguments,
+    add_output,
+    add_plot,
     add_robot_arguments,
-    check_apart,
-    check_needs,
+    add_slow_only,
+    add_verbs,
     check_picture,
     new_file,
     new_folder,
@@ -26,10 +28,9 @@ from rx90_emulator.cli.options import (
 
 if TYPE_CHECKING:
     from rx90_emulator.loop.setup import Setup
-    from rx90_emulator.vplus.program import Memory
-    from rx90_emulator.vplus.readings import Readings
+    from rx90_emulator.vplus.cell import Change
     from rx90_emulator.vplus.run import Options, ProgramRun
-    from rx90_emulator.vplus.signals import Change
+    from rx90_emulator.vplus.tree import Memory, Readings
 
 _EPILOG = """\
 FILE is a file of V+ (.v2, .pg, with data sections or .lc beside it), or a folder of them. The arm begins at READY.
@@ -38,15 +39,45 @@ docs/reference/vplus.md says what of the language is there, and which readings a
 """
 _PERCENT = number("a percentage above 0, up to 100", lambda value: 0.0 < value <= 100.0)
 _TIMEOUT = 30.0
+_MOST_FAULTS = 20
 _PERIODS = (1, 2, 4, 8, 16)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's options."""
+    """Add the verbs and their options."""
+    add_verbs(parser, _VERBS)
+
+
+def _add_engine(parser: argparse.ArgumentParser) -> None:
+    _add_program(parser)
+    parser.set_defaults(interrupted="only what is named above was written")
+    add_output(parser, new_folder, "bag folder to write; must not exist", metavar="FOLDER")
+    add_slow_only(parser)
+    parser.add_argument("--report", type=new_file, metavar="FILE", help="page to write (.html); must not exist")
+    add_plot(parser, new_file, "picture of the tool's path to write")
+
+
+def _add_nodes(parser: argparse.ArgumentParser) -> None:
+    _add_program(parser)
+    parser.set_defaults(ros_args=[])
+    add_node_arguments(parser, _TIMEOUT)
+
+
+def _add_check(parser: argparse.ArgumentParser) -> None:
+    _add_file(parser)
+
+
+def _add_file(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.set_defaults(interrupted="only what is named above was written", ros_args=[])
     parser.add_argument("file", metavar="FILE", type=Path, help="file or folder of programs")
+    parser.add_argument(
+        "--reading", action="append", default=[], metavar="NAME=VALUE", help="another reading of an uncertain part"
+    )
+
+
+def _add_program(parser: argparse.ArgumentParser) -> None:
+    _add_file(parser)
     parser.add_argument("name", metavar="NAME", nargs="?", default="", help="program (the first one)")
     parser.add_argument("arguments", metavar="ARG", nargs="*", help="its arguments: numbers, other words are strings")
     parser.add_argument("--inputs", type=Path, metavar="FILE", help="YAML of times at which inputs change")
@@ -62,84 +93,95 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--idle", type=POSITIVE, default=60.0, metavar="S", help="longest time without a motion, s (60)"
     )
     parser.add_argument("--longest", type=POSITIVE, default=300.0, metavar="S", help="longest run, s (300)")
-    parser.add_argument(
-        "--reading", action="append", default=[], metavar="NAME=VALUE", help="another reading of an uncertain part"
-    )
-    nodes = parser.add_argument_group("running nodes")
-    nodes.add_argument(
-        "--nodes", action="store_true", help="run on rx90_sim and rx90_controller, from where the arm is"
-    )
-    add_node_arguments(nodes, _TIMEOUT)
-    parser.add_argument("--check", action="store_true", help="read and check the files, run nothing")
-    parser.add_argument("--output", type=new_folder, help="bag folder to write; must not exist")
-    parser.add_argument("--slow-only", action="store_true", help="leave the two 4 kHz topics out of the bag")
-    parser.add_argument("--report", type=new_file, metavar="FILE", help="page to write (.html); must not exist")
-    parser.add_argument("--plot", type=new_file, metavar="FILE", help="picture of the tool's path to write")
     add_robot_arguments(parser)
 
 
-def main(options: argparse.Namespace) -> None:
-    """Run the program, show what it did, write what was asked for."""
-    check_needs(options, ("slow_only",), ("output",))
-    check_needs(options, ("node", "timeout"), ("nodes",))
-    for name in ("output", "report", "plot"):
-        check_apart(options, (name,), "nodes", "a recorder beside the nodes, rx90_bag record")
+def _engine(options: argparse.Namespace) -> None:
+    """Run a program in the closed loop without ROS, show what it did, write what was asked for."""
     if options.plot is not None:
         check_picture(options.plot)
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.loop.setup import Setup
-    from rx90_emulator.vplus.errors import LoadError
-    from rx90_emulator.vplus.run import Options, load_programs, run_program
-    from rx90_emulator.vplus.signals import load_inputs
+    from rx90_emulator.vplus.cell import load_inputs
+    from rx90_emulator.vplus.run import run_program
 
     inputs = load_inputs(options.inputs) if options.inputs is not None else []
-    try:
-        memory = load_programs(options.file)
-    except LoadError as error:
-        for fault in error.faults[1:]:
-            print(one_line(fault))
-        raise
-    if options.check:
-        print(f"{len(memory.programs)} programs without faults: {', '.join(memory.programs)}")
-        return
+    memory = _load(options)
     setup = Setup.load(RobotFiles.of_options(options))
-    chosen = Options(
-        monitor_speed=options.monitor_speed,
-        period=options.planning * 1e-3,
-        idle=options.idle,
-        longest=options.longest,
-        readings=_readings(options.reading),
-        record_fast=options.output is not None and not options.slow_only,
-    )
+    chosen = _chosen(options, record_fast=options.output is not None and not options.slow_only)
     began = time.perf_counter()
     arguments = tuple(options.arguments)
-    if options.nodes:
-        run = _on_nodes(options, setup, memory, inputs, chosen)
-    else:
-        run = run_program(setup, memory, options.name, arguments=arguments, inputs=inputs, options=chosen, show=_show)
+    run = run_program(setup, memory, options.name, arguments=arguments, inputs=inputs, options=chosen, show=_show)
     _tell(run, time.perf_counter() - began)
     _write(run, options)
     if run.error is not None:
         raise run.error
 
 
+def _nodes(options: argparse.Namespace) -> None:
+    """Run a program on rx90_sim and rx90_controller, from where the arm is; rx90 bag record records it."""
+    from rx90_common.description.robot_files import RobotFiles
+    from rx90_emulator.loop.setup import Setup
+    from rx90_emulator.vplus.cell import load_inputs
+
+    inputs = load_inputs(options.inputs) if options.inputs is not None else []
+    memory = _load(options)
+    setup = Setup.load(RobotFiles.of_options(options))
+    began = time.perf_counter()
+    run = _on_nodes(options, setup, memory, inputs, _chosen(options, record_fast=False))
+    _tell(run, time.perf_counter() - began)
+    if run.error is not None:
+        raise run.error
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Read and check files of programs; nothing runs."""
+    memory = _load(options)
+    print(f"{len(memory.programs)} programs without faults: {', '.join(memory.programs)}")
+
+
+def _load(options: argparse.Namespace) -> Memory:
+    """Return the programs of a file or folder; of several faults, those behind the first are shown before it."""
+    from rx90_emulator.vplus.program import load_programs
+    from rx90_emulator.vplus.values import LoadError
+
+    try:
+        return load_programs(options.file, _readings(options.reading))
+    except LoadError as error:
+        for fault in error.faults[1:_MOST_FAULTS]:
+            print(one_line(fault))
+        raise
+
+
+def _chosen(options: argparse.Namespace, *, record_fast: bool) -> Options:
+    from rx90_emulator.vplus.run import Options
+
+    return Options(
+        monitor_speed=options.monitor_speed,
+        period=options.planning * 1e-3,
+        idle=options.idle,
+        longest=options.longest,
+        record_fast=record_fast,
+    )
+
+
 def _tell(run: ProgramRun, taken: float) -> None:
     """Show what a run did."""
-    from rx90_emulator.vplus.report import table_text
+    from rx90_emulator.vplus.run import table_text
 
-    for change in run.changes:
+    for change in run.cell.changes:
         print(f"{change.time:9.3f} s  signal {change.signal} {'on' if change.on else 'off'}")
     if run.motions:
         print(table_text(run))
-    print(f"{len(run.motions)} motions, cycle time {run.time:.3f} s, in {taken:.2f} s")
+    print(f"{len(run.motions)} motions, cycle time {run.cell.time:.3f} s, in {taken:.2f} s")
 
 
 def _write(run: ProgramRun, options: argparse.Namespace) -> None:
     """Write what was asked for."""
     from rx90_common.process.files import write_text
     from rx90_emulator.loop.result import write_bag
-    from rx90_emulator.vplus.report import draw, page
+    from rx90_emulator.vplus.run import draw, page
 
     if options.output is not None and run.result is not None:
         write_bag(run.result, options.output)
@@ -160,13 +202,15 @@ def _on_nodes(
     prepare()
     from rx90_common.exchange.client_node import client_node
     from rx90_controller.node.program_client import ProgramClient
-    from rx90_emulator.vplus.nodes import cell_on_nodes
+    from rx90_emulator.vplus.cell import Cell
     from rx90_emulator.vplus.run import run_in
 
     with client_node("rx90_program", options.timeout or _TIMEOUT, print, options.ros_args) as client:
         nodes = ProgramClient(client, node_of(options), setup.robot.joint_names)
-        cell = cell_on_nodes(setup, nodes, inputs, chosen.period)
-        return run_in(cell, memory, options.name, options.arguments, chosen, _show)
+        cell = Cell(setup, nodes, inputs, chosen.period)
+        cell.publish = nodes.signals(cell.receive)
+        cell.show = _show
+        return run_in(cell, memory, options.name, options.arguments, chosen)
 
 
 def _show(text: str, time: float, ends: bool) -> None:
@@ -175,7 +219,7 @@ def _show(text: str, time: float, ends: bool) -> None:
 
 def _readings(words: list[str]) -> Readings:
     """Return the readings, with those that were given."""
-    from rx90_emulator.vplus.readings import Readings
+    from rx90_emulator.vplus.tree import Readings
 
     given = {}
     for word in words:
@@ -187,3 +231,10 @@ def _readings(words: list[str]) -> Readings:
         except ValueError:
             raise ConfigError(f"--reading {quoted(word)}; accepted: true, false or a number behind the =") from None
     return Readings().replaced(**given)
+
+
+_VERBS = (
+    (_add_engine, _engine, "run a program in the closed loop without ROS"),
+    (_add_nodes, _nodes, "run a program on the running nodes"),
+    (_add_check, _check, "read and check files, run nothing"),
+)

@@ -9,7 +9,15 @@ from pathlib import Path
 from rx90_common.base.errors import FailureError, check_replaced
 from rx90_common.base.quoting import counted, one_line, plain
 from rx90_common.process.files import write_text
-from rx90_emulator.cli.options import add_robot_argument, add_verbs, new_file, place, whole_number
+from rx90_emulator.cli.options import (
+    add_force,
+    add_output,
+    add_robot_argument,
+    add_verbs,
+    new_file,
+    place,
+    whole_number,
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -21,15 +29,20 @@ def _add_run(run: argparse.ArgumentParser) -> None:
     run.add_argument("plan", metavar="PLAN", help="plan file of your own (docs/howto/sweep.md), or the name of a "
                      "shipped one: sweep/friction_and_feed_forward.yaml, sweep/payload_and_speed.yaml, "
                      "sweep/reference_1000.yaml")  # fmt: skip
-    run.add_argument("--output", type=place, metavar="FILE", required=True, help="Parquet file to write")
+    add_output(run, place, "Parquet file to write", metavar="FILE", required=True)
     add_robot_argument(run)
     run.add_argument("--report", type=new_file, metavar="FILE", help="page on the results to write as well, .html; new")
     run.add_argument("--resume", action="store_true", help="compute only the runs that the output lacks")
-    where = run.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=whole_number, help="processes on this machine (all cores)")
-    where.add_argument("--scheduler", help="run on the Dask cluster at this address, such as tcp://host:8786")
-    kept = "what is done is kept; go on with: rx90_sweep run {plan} --output {output} --resume"
+    run.add_argument("--workers", type=_workers, metavar="N",
+                     help="processes on this machine (all cores), or the address of a Dask cluster instead of them, "
+                     "such as tcp://host:8786")  # fmt: skip
+    kept = "what is done is kept; go on with: rx90 sweep run {plan} --output {output} --resume"
     run.set_defaults(interrupted=kept)
+
+
+def _workers(text: str) -> float | str:
+    """Return a number of processes, or the address of a scheduler, as a type for argparse."""
+    return text if "://" in text else whole_number(text)
 
 
 def _run(options: argparse.Namespace) -> None:
@@ -46,8 +59,8 @@ def _run(options: argparse.Namespace) -> None:
     counts = run_sweep(
         sweep,
         options.output,
-        workers=options.workers,
-        scheduler=options.scheduler,
+        workers=options.workers if isinstance(options.workers, int) else None,
+        scheduler=options.workers if isinstance(options.workers, str) else None,
         resume=options.resume,
     )
     elapsed = time.perf_counter() - began
@@ -55,13 +68,13 @@ def _run(options: argparse.Namespace) -> None:
         print(one_line(f"nothing to do: {options.output} is complete, {counted(len(sweep), 'run')}"))
     else:
         done = f"{counts.computed} of {counted(len(sweep), 'run')} in {elapsed:.1f} s, {counts.failed} failed"
-        why = f" (rx90_sweep info {options.output} says why)" if counts.failed else ""
+        why = f" (rx90 sweep info {options.output} says why)" if counts.failed else ""
         print(one_line(f"{done}{why}; {options.output}"))
     if counts.failed == counts.computed:  # perhaps not one run of the file has results, also of calls before
         errors = read_sweep(options.output)["error"]
         if errors.null_count == 0:
             runs = "the run" if len(errors) == 1 else f"each of the {len(errors)} runs"
-            more = f"rx90_sweep info {plain(options.output)} says more"
+            more = f"rx90 sweep info {plain(options.output)} says more"
             raise FailureError(f"{runs} failed, for example: {errors[0].as_py()}; {more}")
     if options.report is not None:
         _write_page(options.output, options.report)
@@ -80,8 +93,8 @@ def _info(options: argparse.Namespace) -> None:
 
 def _add_report(report: argparse.ArgumentParser) -> None:
     _add_info(report)
-    report.add_argument("-o", "--output", type=place, metavar="PAGE", help="page (the file's name with .html, here)")
-    report.add_argument("--force", action="store_true", help="replace a page that exists")
+    add_output(report, place, "page (the file's name with .html, here)", metavar="PAGE")
+    add_force(report)
     report.set_defaults(interrupted="nothing was written")
 
 

@@ -56,13 +56,13 @@ def main(options: argparse.Namespace) -> None:
 
 def _give_up() -> None:
     kill_all()
-    print("rx90_view: interrupted", file=sys.stderr, flush=True)
+    print("rx90 view: interrupted", file=sys.stderr, flush=True)
 
 
 def _say_where() -> None:
     kill_all()
     lines = "; ".join(where_threads_are())
-    print(f"rx90_view: did not end within {_END_WITHIN[1]:g} s, and was cut off. {lines}", file=sys.stderr, flush=True)
+    print(f"rx90 view: did not end within {_END_WITHIN[1]:g} s, and was cut off. {lines}", file=sys.stderr, flush=True)
 
 
 def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> None:

@@ -13,13 +13,14 @@ from typing import Any, NamedTuple
 
 from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_common.base.models import FileModel, JsonSchema, schema_at
+from rx90_common.base.models import FileModel
 from rx90_common.base.quoting import listed, nearest, one_line, plain, quoted
+from rx90_common.description.poses import Poses
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_controller.lines.task import load_task
 from rx90_emulator.configuration.kinds import KINDS, NODE_PARAMETERS, FileKind
-from rx90_emulator.identification.experiments.plan import INDEX, Poses
+from rx90_emulator.identification.experiments.plan import INDEX
 from rx90_emulator.loop.line import plan_path
 from rx90_emulator.loop.setup import Setup
 
@@ -59,38 +60,23 @@ def kind_of(path: Path, content: Mapping[str, Any]) -> FileKind:
     """Return the kind that knows most keys at the top of a file, misspelt ones with it; of several the best fitting."""
     if _has_node_parameters(content):
         return kind_named(NODE_PARAMETERS)
-    scores = [(_known_keys(kind.json_schema(), content), kind) for kind in KINDS]
-    highest = max(score for score, _ in scores)
-    best = [kind for score, kind in scores if score == highest]
-    if highest <= 0.0:
-        raise ConfigError(
-            f"{plain(path)}: of no kind that its keys tell, as MoveIt's own files; accepted: --kind with one of "
-            f"{listed(_NAMES)}"
-        )
-    return best[0] if len(best) == 1 else min(best, key=lambda kind: len(kind.faults(path, dict(content))))
+
+    def fit(kind: FileKind) -> tuple[int, int]:
+        keys = kind.model.model_fields.keys() - set(FileModel.about_keys)
+        known = [key for key in islice(content, _MAX_KEYS) if nearest(str(key), keys)]
+        return len(known), -len(kind.faults(path, dict(content)))
+
+    best = max(KINDS, key=fit)
+    known, faults = fit(best)
+    if not known and faults:  # as MoveIt's own files
+        raise ConfigError(f"{plain(path)}: of no kind that its keys tell; accepted: --kind with {listed(_NAMES)}")
+    return best
 
 
 def _has_node_parameters(content: Any) -> bool:
     return isinstance(content, dict) and (
         "ros__parameters" in content or any(map(_has_node_parameters, content.values()))
     )
-
-
-def _known_keys(schema: JsonSchema, content: Mapping[str, Any]) -> float:
-    """Return how many keys of a file a kind knows, a misspelt one by half, less those that it does not know."""
-    properties = schema["properties"].keys() - set(FileModel.about_keys)
-    known = 0.0
-    for key, value in islice(content.items(), _MAX_KEYS):
-        if key in FileModel.about_keys:
-            continue
-        around = schema_at(schema, (key,), content).get("properties", {})
-        if key in properties:
-            known += 1.0
-        elif nearest(key, properties) or (isinstance(value, dict) and around.keys() & value.keys()):
-            known += 0.5  # or of free names one with keys that are known
-        else:
-            known -= 1.0
-    return known
 
 
 def check_path(path: Path, kind: FileKind | None = None) -> list[CheckedFile]:

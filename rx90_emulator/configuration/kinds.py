@@ -15,12 +15,13 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import JsonSchema, Model, fault_lines, json_schema, read_model
 from rx90_common.base.quoting import plain
 from rx90_common.description.drives import DriveParameters, load_drives
+from rx90_common.description.poses import Poses
 from rx90_common.description.robot import Tool, load_tool
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_controller.law.parameters import CS7BParameters, load_controller
 from rx90_controller.lines.task import TaskFile, load_task
 from rx90_emulator.correction.file import CorrectionHead, load_correction
-from rx90_emulator.identification.experiments.plan import ExperimentsFile, Poses, read_index
+from rx90_emulator.identification.experiments.plan import ExperimentsFile, read_index
 from rx90_emulator.loop.path_file import PathFile, TrajectoryFile, load_path, load_trajectory
 from rx90_emulator.sweep.plan import PlanFile, load_sweep_plan
 

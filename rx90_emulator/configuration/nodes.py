@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from friction_bench.node.bench_node import BenchParameters
 from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_common.base.models import FileModel, JsonSchema, fault_lines, json_schema
+from rx90_common.base.models import fault_lines
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.exchange.endpoints import PREFIX
 from rx90_common.exchange.parameters import OF_ROS, NodeModel, flat
@@ -29,10 +29,6 @@ NODES: dict[str, type[NodeModel]] = {
 }
 """The parameters of each node once it is active."""
 _PARAMETERS = "ros__parameters"
-_CONSTRAINTS = "constraints"
-"""Group of parameters named by the robot's joints."""
-_SECTION: JsonSchema = {"anyOf": [{"required": [_PARAMETERS]}, {"additionalProperties": {"type": "object"}}]}
-"""A mapping is a node's section, or a namespace that holds sections."""
 
 
 def node_faults(node: str, given: Mapping[str, Any]) -> list[str]:
@@ -85,58 +81,11 @@ class NodeFile(FileKind):
             for line in node_faults(node, given)
         ]
 
-    def json_schema(self) -> JsonSchema:
-        """Return the parameters of each node, in any namespace."""
-        nodes = {f"(^|/){node}$": _node_schema(node) for node in NODES}
-        other = {"type": "object", "properties": {_PARAMETERS: {"type": "object"}}, **_SECTION}
-        return {
-            "$schema": "https://json-schema.org/draft/2020-12/schema",
-            "title": f"{NODE_PARAMETERS.replace('_', ' ')} file of rx90_emulator",
-            "description": "Parameters of nodes: a section for each, NODE: {ros__parameters: {...}}, in any namespace.",
-            "type": "object",
-            "patternProperties": nodes,
-            "additionalProperties": other,
-        }
-
 
 def _read(path: Path) -> None:
     faults = NODE_FILE.faults(path, read_yaml(path))
     if faults:
         raise faults[0]
-
-
-def _leaf_schemas(schema: JsonSchema, root: JsonSchema, before: str = "") -> dict[str, JsonSchema]:
-    """Return the schemas of parameters by their names; those named by joints are left out."""
-    found: dict[str, JsonSchema] = {}
-    for name, inner in schema["properties"].items():
-        resolved = {**root["$defs"].get(inner.get("$ref", "").rpartition("/")[2], {}), **inner}
-        if name in FileModel.about_keys:
-            continue
-        if "properties" in resolved:
-            found |= _leaf_schemas(resolved, root, f"{before}{name}.")
-        else:
-            found[f"{before}{name}"] = resolved
-    return found
-
-
-def _node_schema(node: str) -> JsonSchema:
-    root = {"$defs": {}, **json_schema(NODES[node], "")}
-    parameters = _names_schema(_leaf_schemas(root, root))
-    parameters["properties"] |= {name: {"description": "Of every ROS node."} for name in OF_ROS}
-    parameters["patternProperties"] = {f"^({PREFIX[:-1]}|{_CONSTRAINTS})(\\.|$)": {}}
-    about = f"Parameters of the node {node}."
-    return {"description": about, "type": "object", "properties": {_PARAMETERS: parameters}, **_SECTION}
-
-
-def _names_schema(schemas: Mapping[str, JsonSchema]) -> JsonSchema:
-    """Return the schema of a mapping of these names, in which any dot may be a mapping in a mapping instead."""
-    properties = dict(schemas)
-    for prefix in {name[:i] for name in schemas for i, letter in enumerate(name) if letter == "."}:
-        inner = {name[len(prefix) + 1 :]: schema for name, schema in schemas.items() if name.startswith(f"{prefix}.")}
-        properties[prefix] = _names_schema(inner)
-        if prefix.partition(".")[0] == _CONSTRAINTS:
-            properties[prefix]["additionalProperties"] = True
-    return {"type": "object", "properties": dict(sorted(properties.items())), "additionalProperties": False}
 
 
 NODE_FILE = NodeFile(NODE_PARAMETERS, NodeModel, _read)

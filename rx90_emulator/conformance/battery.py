@@ -17,9 +17,9 @@ from rx90_common.base.errors import DivergenceError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.process.files import write_text
 from rx90_controller.lines.task import load_task
+from rx90_controller.trajectory.motion import Motion
 from rx90_emulator.conformance import metrics
 from rx90_emulator.conformance.case import START, Case, Record
-from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.loop.line import plan_line
 from rx90_emulator.loop.setup import Setup
 

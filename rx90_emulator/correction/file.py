@@ -56,7 +56,7 @@ class Offsets(FileModel):
 
 
 class CorrectionHead(FileModel):
-    """A correction of one path on one arm, as rx90_correct learns it."""
+    """A correction of one path on one arm, as rx90 correct learns it."""
 
     robot: Annotated[str, Field(description="The robot's name in its URDF.")]
     payload: Payload

@@ -19,12 +19,12 @@ from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ProcessGroup, executable
 from rx90_controller.node.trajectory_client import TrajectoryClient
 from rx90_controller.trajectory.correction import Correction
+from rx90_controller.trajectory.motion import Motion
 from rx90_emulator.correction.learning import Learner, Measured
 from rx90_emulator.correction.recorded import CORRECTION, REFERENCE, TRACKING, measured
-from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.nodes import follow_trajectory
 
-# share of the joints' speeds; rad/s^2: as rx90_line's
+# share of the joints' speeds; rad/s^2: as rx90 line's
 _APPROACH_SPEED = 0.25
 _APPROACH_ACCELERATION = 2.0
 _REST_S = 0.5  # s at the start of the path: the integrators take some 0.1 s, then the arm is at rest
@@ -61,7 +61,7 @@ def node_trials(
         trajectory = TrajectoryClient(client, controller)
         trajectory.wait_for_controller()
         set_points = trajectory.set_points(robot.joint_names)
-        follow = partial(follow_trajectory, client, trajectory, robot.joint_names, set_points)
+        follow = partial(follow_trajectory, client, trajectory, robot.joint_names, set_points, show=lambda _: None)
         numbers = count()
 
         def approach() -> None:
@@ -69,21 +69,21 @@ def node_trials(
             motion.move(points.position[0], robot.max_velocity * _APPROACH_SPEED, _APPROACH_ACCELERATION)
             if motion.duration > 0.0:
                 motion.rest(_REST_S)
-                follow(motion.points(robot.joint_names), lambda _: None)
+                follow(motion.points(robot.joint_names))
 
         def play(correction: Correction) -> Measured:
             number = next(numbers)
             if number == 0:
                 # Each trial comes from the path's end, with friction as that leaves it; the first one, too.
                 approach()
-                follow(replace(points, correction=correction), lambda _: None)
+                follow(replace(points, correction=correction))
             approach()
             bag = Path(name) / f"trial_{number}"
             played = [CORRECTION] if correction.offsets.any() else []  # without offsets nothing is published
-            words = executable("rx90_bag", "record", "--output", bag, *topics, *played)
+            words = executable("rx90 bag", "record", "--output", bag, *topics, *played)
             recorder = recorders.start(f"recorder of {bag.name}", words)
             recorder.wait_for("ready: all", timeout)
-            follow(replace(points, correction=correction), lambda _: None)
+            follow(replace(points, correction=correction))
             if tip_topic is not None:
                 time.sleep(_SENSOR)
             recorder.signal(signal.SIGINT)

@@ -144,7 +144,7 @@ class Demonstration:
         files: its files, and the task.
         pace: the real-time factor; 0 is as fast as it goes.
         composed: simulation and controller share a process.
-        view: options of `rx90_view` for a page in the browser beside it; None for no page.
+        view: options of `rx90 view` for a page in the browser beside it; None for no page.
     """
 
     def __init__(
@@ -171,8 +171,8 @@ class Demonstration:
         print("closed loop without ROS ...", flush=True)
         # A process of its own: while it compiles, numba would swallow Ctrl-C.
         with ProcessGroup(folder / "log") as group:
-            task = ("--robot", self._robot, "--task", self._task_file, "--start-time", START_TIME)
-            group.start("closed_loop", executable("rx90_run", *task, "--output", baseline)).expect_success()
+            task = ("--robot", self._robot, self._task_file, "--start-time", START_TIME)
+            group.start("closed_loop", executable("rx90 run", *task, "--output", baseline)).expect_success()
         factor = self._run_processes(folder, recorded)
         print("comparing the recorded run with the closed loop without ROS ...", flush=True)
         comparison = compare_bags(recorded, baseline)
@@ -185,7 +185,7 @@ class Demonstration:
         )
         print(f"report: {page.resolve()}")
         if run.path.worst > PATH_LIMIT:
-            print("rx90_demo: the path error is above what was asked for", file=sys.stderr)
+            print("rx90 demo: the path error is above what was asked for", file=sys.stderr)
         return run.path.worst <= PATH_LIMIT and comparison.verdict is Verdict.SAME
 
     def _run_processes(self, folder: Path, bag: Path) -> float:
@@ -202,16 +202,16 @@ class Demonstration:
         parameters = [word for name, value in given.items() for word in ("-p", f"rx90_sim:{name}:={value}")]
         print("starting simulation, controller, trajectory and recorder ...", flush=True)
         with ProcessGroup(folder / "log") as group:
-            recorder = group.start("recorder", executable("rx90_bag", "record", "--output", bag))
+            recorder = group.start("recorder", executable("rx90 bag", "record", "--output", bag))
             node = "rx90_cell" if self._composed else "rx90_sim"
             simulation = group.start("simulation", executable(node, "--ros-args", *parameters, *of_robot))
             if not self._composed:
                 group.start("controller", executable("rx90_controller", "--ros-args", *of_robot))
-            task = ("--robot", self._robot, "--from-file", self._task_file, "--start-time", START_TIME)
-            line = group.start("trajectory", executable("rx90_line", *task))
+            task = ("--robot", self._robot, self._task_file, "--start-time", START_TIME)
+            line = group.start("trajectory", executable("rx90 line", *task))
             if self._view is not None:
                 about = ("--robot", self._robot, "--task", self._task_file)
-                _wait_for_page(group.start("view", executable("rx90_view", *about, *self._view)))
+                _wait_for_page(group.start("view", executable("rx90 view", *about, *self._view)))
             recorder.wait_for("ready: all")
             line.expect_success()
             factor = _follow_clock(simulation, duration)

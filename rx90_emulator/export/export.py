@@ -198,7 +198,7 @@ def _identified_ranges(arm: Arm) -> dict[str, tuple[float, float]]:
         return ranges | {name: (float(high), float(low)) for name, (low, high) in (found.get("speeds") or {}).items()}
     except _OTHER_SHAPE as error:
         raise ConfigError(
-            f"{plain(str(file))}: its identification has another shape; accepted: as rx90_identify writes it"
+            f"{plain(str(file))}: its identification has another shape; accepted: as rx90 identify writes it"
         ) from error
 
 

@@ -1,16 +1,8 @@
-"""The arm without friction: its rigid-body torques, and the joints that its friction elements act on.
-
-The URDF of any robot is read into Pinocchio's model of the joints of interest, or refused in one line.
-"""
+"""The arm without friction: its rigid-body torques, and the joints that its friction elements act on."""
 
 from __future__ import annotations
 
-import os
-import sys
-import tempfile
-import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,19 +14,13 @@ from scipy.sparse.csgraph import connected_components
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import listed, plain, quoted
+from rx90_common.base.quoting import listed, quoted
 from rx90_common.description.coupling import sum_name
-from rx90_common.description.urdf import read_urdf
+from rx90_common.description.joint_model import joint_model
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import JointTorques
+from rx90_common.rigid_torque import configurations, rigid_torque
 from rx90_emulator.loop.setup import Setup
-
-_MAX_MASS = 1e5  # kg
-_MAX_NUMBER = 1e12  # m and kg m^2: beyond any unit, and its square is a number
-_NUMBERS = "link/inertial/origin", "link/inertial/inertia", "joint/origin", "joint/axis"
-_KEYS = {"xyz", "rpy", "ixx", "ixy", "ixz", "iyy", "iyz", "izz"}
-_TURNING = ("revolute", "continuous")
-_STDERR = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,37 +91,26 @@ class RigidArm:
             IdentificationError: for a URDF that cannot be used, an unknown joint or a wrong shape.
         """
         urdf = Path(urdf)
-        model = joint_model(urdf, joints, massless=massless)
-        names = tuple(str(name) for name in model.names)[1:]
-        if followed:
-            model = joint_model(urdf, joints, massless=massless, followed=followed)
-        n = len(names)
-
-        def checked(name: str, given: ArrayLike | None, usual: Array) -> Array:
-            value = usual if given is None else np.asarray(given, dtype=np.float64)
-            if value.shape != usual.shape or not np.isfinite(value).all():
-                reason = f"{name} has shape {value.shape}; accepted: finite numbers, shape {usual.shape}"
-                raise IdentificationError(reason)
-            return value
-
-        turns = checked("coupling", coupling, np.eye(n))
-        own_rotors = checked("rotor_inertia", rotor_inertia, np.zeros(n))
-        own_springs = checked("spring", spring, np.zeros(n))
+        alone = joint_model(urdf, joints, massless=massless)
+        model = joint_model(urdf, joints, massless=massless, followed=followed) if followed else alone
+        names = tuple(str(name) for name in alone.names)[1:]
+        everything = tuple(str(name) for name in model.names)[1:]
+        place = np.array([everything.index(name) for name in names])
+        turns = _checked("coupling", coupling, np.eye(len(names)))
         if abs(np.linalg.det(turns)) < 1e-9:
             raise IdentificationError(f"coupling: {turns.tolist()}; accepted: an invertible matrix")
-        together = [row for row in turns if np.count_nonzero(row) > 1]
-        elements = (*names, *(sum_name(names, row) for row in together))
-        everything = tuple(str(name) for name in model.names)[1:]
-        own = np.array([everything.index(name) for name in names])
-        rotors = np.zeros((len(everything),) * 2)
+        rotor = turns.T @ np.diag(_checked("rotor_inertia", rotor_inertia, np.zeros(len(names)))) @ turns
         springs = np.zeros(len(everything))
-        matrix = np.zeros((len(elements), len(everything)))
+        springs[place] = _checked("spring", spring, np.zeros(len(names)))
+        # Joints that follow turn alone, and no element acts on them.
         all_turns = np.eye(len(everything))
-        some = np.ix_(own, own)
-        all_turns[some] = turns
-        rotors[some] = turns.T @ np.diag(own_rotors) @ turns
-        springs[own] = own_springs
-        matrix[:, own] = np.vstack([np.eye(n), *together])
+        all_turns[np.ix_(place, place)] = turns
+        rotors = np.zeros_like(all_turns)
+        rotors[np.ix_(place, place)] = rotor
+        together = [row for row in turns if np.count_nonzero(row) > 1]
+        matrix = np.zeros((len(names) + len(together), len(everything)))
+        matrix[:, place] = np.vstack([np.eye(len(names)), *together])
+        elements = (*names, *(sum_name(names, row) for row in together))
         return cls(everything, elements, matrix, model, rotors, springs, all_turns)
 
     @property
@@ -145,11 +120,10 @@ class RigidArm:
 
     def related(self) -> tuple[str, ...]:
         """Return the joints that carry one of the identified, or are carried by one: their motion counts for it."""
-        model = self.model
-        chains = [set(model.supports[k].tolist()) for k in range(model.njoints)]
-        own = {k + 1 for k in np.flatnonzero(self.identified).tolist()}
-        above = set().union(*(chains[k] for k in own))
-        return tuple(str(model.names[k]) for k in range(1, model.njoints) if k in above or chains[k] & own)
+        chains = [set(chain.tolist()) for chain in self.model.supports]
+        moved = {joint + 1 for joint in np.flatnonzero(self.identified).tolist()}
+        above = set().union(*(chains[joint] for joint in moved))
+        return tuple(name for joint, name in enumerate(self.names, 1) if joint in above or chains[joint] & moved)
 
     def torque(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return the torques of the drives at the joints without friction, Nm, all arrays of shape (m, n)."""
@@ -172,11 +146,14 @@ class RigidArm:
             if name not in self.names:
                 raise IdentificationError(f"joint {quoted(name)} is none of this arm; accepted: {listed(self.names)}")
         torques = [joints.get(name, JointTorques()) for name in self.names]
-        offset = np.array([joint.offset for joint in torques])
-        rotors = np.array([joint.rotor_inertia for joint in torques])
         spring = np.array([joint.spring for joint in torques])
-        rotor = self.coupling.T @ np.diag(rotors) @ self.coupling if rotors.any() else self.rotor
-        return replace(self, rotor=rotor, spring=spring if spring.any() else self.spring, offset=offset)
+        rotors = np.diag([joint.rotor_inertia for joint in torques])
+        return replace(
+            self,
+            rotor=self.coupling.T @ rotors @ self.coupling if rotors.any() else self.rotor,
+            spring=spring if spring.any() else self.spring,
+            offset=np.array([joint.offset for joint in torques]),
+        )
 
     def regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return the derivative of the torque by the links' inertial parameters, shape (m, n, 10 n).
@@ -184,13 +161,12 @@ class RigidArm:
         The parameters of a link are mass, first moment and inertia about the joint's origin, in Pinocchio's
         order (m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz).
         """
-        model = self.model
         data = self.model.createData()
-        motion = zip(configurations(model, position), velocity, acceleration, strict=True)
-        found = np.empty((*position.shape, 10 * len(self.names)))
-        for k, row in enumerate(motion):
-            found[k] = pin.computeJointTorqueRegressor(model, data, *row)
-        return found
+        rows = zip(configurations(self.model, position), velocity, acceleration, strict=True)
+        columns = np.empty((*position.shape, 10 * len(self.names)))
+        for number, row in enumerate(rows):
+            columns[number] = pin.computeJointTorqueRegressor(self.model, data, *row)
+        return columns
 
     @property
     def inertial(self) -> Array:
@@ -218,122 +194,11 @@ class RigidArm:
         return np.tile(mass * reach**powers, len(self.names))
 
 
-def joint_model(
-    urdf: Path, joints: Sequence[str] | None, *, massless: bool = False, followed: Sequence[str] = ()
-) -> Any:
-    """Return Pinocchio's model of these joints; the others are held at zero.
-
-    Args:
-        urdf: the robot's description.
-        joints: from base to tip; by default all movable joints.
-        massless: whether joints that move no mass are accepted, because only kinematics are wanted.
-        followed: further joints that are not held.
-    """
-    model, root = _read_urdf(urdf)
-    there = [str(name) for name in model.names][1:]
-    requested = there if joints is None else list(joints)
-    for name in requested:
-        if name not in there:
-            raise IdentificationError(f"{urdf}: no movable joint {quoted(name)}; there are {listed(there) or 'none'}")
-    in_order = [name for name in there if name in requested]
-    if requested != in_order:
-        raise IdentificationError(f"{urdf}: joints {listed(requested)}; accepted: from base to tip, {listed(in_order)}")
-    if not requested:
-        raise IdentificationError(f"{urdf}: no movable joint; accepted: one or more")
-    bad = {}
-    for joint in root.findall("joint"):
-        mimic = joint.find("mimic")
-        kind = joint.get("type")
-        if kind not in _TURNING:
-            bad[joint.get("name")] = f"is {kind}"
-        elif mimic is not None:
-            bad[joint.get("name")] = f"mimics {mimic.get('joint')}"
-    for name in requested:
-        if name in bad:
-            good = " ".join(other for other in there if other not in bad) or "(there are none)"
-            raise IdentificationError(
-                f"{urdf}: joint {quoted(name)} {plain(bad[name])}; accepted: revolute and continuous joints with a "
-                f"drive of their own, --joints {good}"
-            )
-    fixed_joints = [model.getJointId(name) for name in there if name not in requested and name not in followed]
-    reduced = pin.buildReducedModel(model, fixed_joints, pin.neutral(model)) if fixed_joints else model
-    data = reduced.createData()
-    pin.computeSubtreeMasses(reduced, data)
-    for name, mass in zip(list(reduced.names)[1:], list(data.mass)[1:], strict=True):
-        if name in requested and not massless and not mass > 0.0:
-            raise IdentificationError(
-                f"{urdf}: joint {quoted(name)} moves a mass of {mass:g} kg; accepted: links with <inertial>"
-            )
-    return reduced
-
-
-def movable_joints(urdf: Path) -> tuple[str, ...]:
-    """Return the joints of a URDF with one coordinate, as logs have: revolute, continuous or prismatic, no mimics."""
-    model, root = _read_urdf(urdf)
-    mimics = {joint.get("name") for joint in root.findall("joint") if joint.find("mimic") is not None}
-    pairs = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
-    return tuple(str(name) for name, joint in pairs if joint.nv == 1 and str(name) not in mimics)
-
-
-def all_joints(urdf: Path) -> tuple[str, ...]:
-    """Return all movable joints of a URDF, mimics and joints of several coordinates included."""
-    return tuple(
-        joint.get("name", "") for joint in _read_urdf(urdf)[1].findall("joint") if joint.get("type") != "fixed"
-    )
-
-
-def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
-    """Return Pinocchio's model of the whole robot, and the root of the file."""
-    lines: list[str] = []
-    try:
-        # Written anew: the XML parser of Pinocchio 2 accepts no document type, and the parser used here fetches
-        # nothing.
-        root = read_urdf(urdf, "utf-8")
-        with _caught_stderr(lines):
-            model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
-        if any(line.startswith("Error:") for line in lines):  # an inertial that cannot be read is left out
-            raise ValueError
-        for joint in root.findall("joint"):
-            axis = joint.find("axis") if joint.get("type") in _TURNING else None
-            if axis is not None and not any(map(float, axis.get("xyz", "1").split())):
-                raise ValueError(f"axis of joint [{joint.get('name')}] is 0 0 0")
-        for link in root.findall("link"):
-            mass = link.find("inertial/mass")
-            weight = 0.0 if mass is None else float(mass.get("value", "0"))
-            if not 0.0 <= weight <= _MAX_MASS:
-                raise IdentificationError(
-                    f"{plain(urdf)}: the mass of link {quoted(link.get('name'))} is {weight:g} kg; accepted: 0 to "
-                    f"{_MAX_MASS:g} kg"
-                )
-        for element in (one for path in _NUMBERS for one in root.iterfind(path)):
-            for key, text in element.items():
-                if key in _KEYS and not all(abs(float(word)) <= _MAX_NUMBER for word in text.split()):
-                    raise IdentificationError(
-                        f"{plain(urdf)}: <{element.tag} {key}={quoted(text)}>; accepted: numbers up to {_MAX_NUMBER:g}"
-                    )
-        return model, root
-    except UnicodeDecodeError as error:
-        raise IdentificationError(f"{plain(urdf)}: cannot be read ({error}); accepted: a URDF file") from error
-    except (ValueError, RuntimeError, ET.ParseError) as error:
-        message = next((line.removeprefix("Error:") for line in lines if line.startswith("Error:")), str(error))
-        reason = " ".join(message.split()) or type(error).__name__
-        raise IdentificationError(f"{urdf}: no URDF that Pinocchio can read ({reason})") from error
-
-
-@contextmanager
-def _caught_stderr(lines: list[str]) -> Iterator[None]:
-    """Collect what is written to file descriptor 2, the only place where the parser below Pinocchio gives reasons."""
-    sys.stderr.flush()
-    with tempfile.TemporaryFile() as file:
-        before = os.dup(_STDERR)
-        os.dup2(file.fileno(), _STDERR)
-        try:
-            yield
-        finally:
-            os.dup2(before, _STDERR)
-            os.close(before)
-            file.seek(0)
-            lines += file.read().decode("utf-8", "replace").splitlines()
+def _checked(name: str, given: ArrayLike | None, usual: Array) -> Array:
+    value = usual if given is None else np.asarray(given, dtype=np.float64)
+    if value.shape != usual.shape or not np.isfinite(value).all():
+        raise IdentificationError(f"{name} has shape {value.shape}; accepted: finite numbers, shape {usual.shape}")
+    return value
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,7 +217,7 @@ class JointGroup:
 
     def break_away(self, sliding: Sequence[FrictionElement]) -> Array:
         """Return the friction torque at which each joint slides, Nm, shape (k,), by its elements' sliding regime."""
-        return np.asarray(np.abs(self.inputs).T @ np.array([one.tau_c.positive for one in sliding]))
+        return np.asarray(np.abs(self.inputs).T @ np.array([element.tau_c.positive for element in sliding]))
 
 
 def joint_groups(arm: RigidArm) -> list[JointGroup]:
@@ -360,45 +225,10 @@ def joint_groups(arm: RigidArm) -> list[JointGroup]:
     matrix = arm.element_matrix
     shared = np.abs(matrix).T @ np.abs(matrix)
     _, group = connected_components(shared, directed=False)
-    found = []
+    groups = []
     for number in dict.fromkeys(group.tolist()):
         joints = np.flatnonzero(group == number)
         elements = np.flatnonzero(matrix[:, joints].any(axis=1))
-        found.append(JointGroup(tuple(joints.tolist()), tuple(elements.tolist()), matrix[np.ix_(elements, joints)]))
-    return found
-
-
-def rigid_torque(
-    model: Any, rotor: Array, spring: Array, position: Array, velocity: Array, acceleration: Array
-) -> Array:
-    """Return M(q) a + h(q, v) along a motion: the drives' torques at the joints in the absence of friction.
-
-    Args:
-        model: Pinocchio's model of n turning joints, from base to tip.
-        rotor: share of the rotors in the mass matrix, couplings included, kg m^2, shape (n, n).
-        spring: amplitudes k of springs with the torque -k sin(q) on the joints, Nm, shape (n,).
-        position: rad, shape (m, n).
-        velocity: rad/s, shape (m, n).
-        acceleration: rad/s^2, shape (m, n).
-
-    Returns:
-        Inertial, Coriolis, centrifugal and gravity torques (recursive Newton-Euler: Featherstone 2008, table 5.1), and
-        those of rotors and springs, Nm, shape (m, n).
-    """
-    data = model.createData()
-    rows = zip(configurations(model, position), velocity, acceleration, strict=True)
-    links = np.array([pin.rnea(model, data, *row) for row in rows]).reshape(position.shape)
-    return links + rotor_and_spring_torque(rotor, spring, position, acceleration)
-
-
-def rotor_and_spring_torque(rotor: Array, spring: Array, position: Array, acceleration: Array) -> Array:
-    """Return the share of rotors and springs in `rigid_torque`, arguments as there, Nm, shape (m, n)."""
-    return np.asarray(acceleration @ rotor.T + spring * np.sin(position))
-
-
-def configurations(model: Any, position: Array) -> Array:
-    """Return Pinocchio's configurations, shape (m, nq): joints without limits have a sine and a cosine in it."""
-    if model.nq == model.nv:
-        return position
-    neutral = pin.neutral(model)
-    return np.array([pin.integrate(model, neutral, row) for row in position])
+        inputs = matrix[np.ix_(elements, joints)]
+        groups.append(JointGroup(tuple(joints.tolist()), tuple(elements.tolist()), inputs))
+    return groups

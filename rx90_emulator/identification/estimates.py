@@ -41,10 +41,8 @@ def with_passive_fading(element: FrictionElement, fallback: FrictionElement | No
     that is below p tau_c, with p the bristles' factor: half of it is taken.
     """
     usual = _DAMPING_FADE_SPEED if fallback is None else fallback.omega_d
-    bristles = element.bristles
     least = min(element.tau_c.positive, element.tau_c.negative)
-    factor = LUGRE_PASSIVITY if bristles is None else float(bristles.passivity_factor(element.c0, 0.0))
-    passive = 0.5 * factor * math.sqrt(2.0 * math.e) * least / max(element.c1, 1e-300)
+    passive = 0.5 * LUGRE_PASSIVITY * math.sqrt(2.0 * math.e) * least / max(element.c1, 1e-300)
     return element.replaced(omega_d=min(usual, max(passive, MIN_SPEED)))
 
 
@@ -86,47 +84,61 @@ class ParameterEstimate:
 
 
 @dataclass(frozen=True, eq=False)
+class FrictionCurve:
+    """Measured and identified friction torque of one element against its velocity.
+
+    Attributes:
+        velocity: of p measured points, rad/s, shape (p,).
+        torque: measured torque less the rigid arm's and the other elements', Nm, shape (p,).
+        deviation: standard deviation of its noise, Nm, shape (p,); 0 where it is not known.
+        fitted: torque by the identified parameters, Nm, shape (p,).
+        line: the identified curve over the measured speeds, in either direction: velocity, torque, and the standard
+            deviation of the torque due to the parameters, shape (3, k).
+    """
+
+    velocity: Array
+    torque: Array
+    deviation: Array
+    fitted: Array
+    line: Array
+
+    @property
+    def rms(self) -> float:
+        """Return the RMS residual torque, Nm."""
+        return float(np.sqrt(np.mean((self.torque - self.fitted) ** 2)))
+
+    @property
+    def share(self) -> float:
+        """Return the residual torque over the friction torque, RMS; NaN without friction."""
+        friction = float(np.sqrt(np.mean(self.torque**2)))
+        return self.rms / friction if friction > 0.0 else math.nan
+
+    @property
+    def chi2(self) -> float:
+        """Return the mean square of the residuals over what the samples' noise leaves; 1 for noise alone."""
+        return float(np.mean(((self.torque - self.fitted) / np.maximum(self.deviation, 1e-12)) ** 2))
+
+
+@dataclass(frozen=True, eq=False)
 class ElementEstimate:
     """The parameters of one friction element.
 
     Attributes:
         element: its name.
-        parameters: p estimates, by all or some of the names in PARAMETERS, in that order.
-        correlation: of the estimates, in the order of `parameters`, shape (p, p); NaN where one is not identifiable.
+        parameters: estimates by all or some of the names in PARAMETERS, in that order.
         sources: the bags that the estimates come from.
     """
 
     element: str
     parameters: Mapping[str, ParameterEstimate]
-    correlation: Array
     sources: tuple[BagSource, ...]
-
-    @classmethod
-    def of(
-        cls,
-        element: str,
-        parameters: Mapping[str, ParameterEstimate],
-        covariance: Array,
-        sources: tuple[BagSource, ...],
-    ) -> ElementEstimate:
-        """Return the estimates of an element; the covariance, shape (p, p), may be that of scaled parameters."""
-        deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        known = np.array([one.identifiable for one in parameters.values()])
-        scale = np.where(known & (deviation > 0.0), deviation, np.nan)
-        return cls(element, parameters, covariance / np.outer(scale, scale), sources)
 
     @classmethod
     def unknown(
         cls, element: str, names: tuple[str, ...], reason: str, sources: tuple[BagSource, ...] = ()
     ) -> ElementEstimate:
         """Return the estimates of an element of which no parameter is identifiable, for the same reason."""
-        estimates = dict.fromkeys(names, ParameterEstimate.unknown(reason))
-        return cls(element, estimates, np.full((len(names), len(names)), np.nan), sources)
-
-    def covariance(self) -> Array:
-        """Return the covariance in the order of `parameters`, shape (p, p); 0 for what is not identifiable."""
-        deviation = np.array([e.deviation if e.identifiable else 0.0 for e in self.parameters.values()])
-        return np.asarray(np.nan_to_num(self.correlation) * np.outer(deviation, deviation))
+        return cls(element, dict.fromkeys(names, ParameterEstimate.unknown(reason)), sources)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,36 +147,10 @@ class IdentifiedElement:
 
     Attributes:
         element: values to simulate with.
-        estimates: by the names in PARAMETERS, without the viscous exponent where it is 1; those of a part by names
-            such as bristles.break_away.
+        estimates: by the names in PARAMETERS, without the viscous exponent where it is 1.
         sources: the bags that each parameter was estimated from.
-        given_bristles: whether its bristles, of another kind than LuGre's, are the fallback's, as its c0 is.
     """
 
     element: FrictionElement
-    estimates: dict[str, ParameterEstimate]
-    sources: dict[str, tuple[BagSource, ...]]
-    given_bristles: bool = False
-
-    @classmethod
-    def of(
-        cls,
-        element: FrictionElement,
-        estimates: Mapping[str, ParameterEstimate],
-        sources: dict[str, tuple[BagSource, ...]],
-        fallback: FrictionElement | None,
-    ) -> IdentifiedElement:
-        """Return an element with the fallback's bristles where its c0 is the fallback's: they belong together.
-
-        Args:
-            element: to simulate with.
-            estimates: of its parameters.
-            sources: of the estimates.
-            fallback: source of values that are not identifiable; None without one.
-        """
-        part = None if fallback is None else fallback.bristles
-        if part is None or ("c0" in estimates and estimates["c0"].identifiable):
-            return cls(element, dict(estimates), sources)
-        unknown = ParameterEstimate.unknown("it goes with c0, which is not identified")
-        numbers = {f"bristles.{name}": unknown for name in part.numbers()}
-        return cls(element.replaced(bristles=part), {**estimates, **numbers}, sources, given_bristles=True)
+    estimates: Mapping[str, ParameterEstimate]
+    sources: Mapping[str, tuple[BagSource, ...]]

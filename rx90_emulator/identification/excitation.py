@@ -25,21 +25,29 @@ from rx90_emulator.identification.bodies import make_consistent, written_arm
 from rx90_emulator.identification.fitted import (
     TRIED,
     FittedArm,
-    assumed_bristles,
     fit_arm,
     identified_elements,
     simplest_fit,
 )
 from rx90_emulator.identification.identify import check_given_once, read_records, with_friction
-from rx90_emulator.identification.options import SHIPPED_ROBOT, ExcitationTolerances, RobotOptions, model_parts
+from rx90_emulator.identification.options import (
+    NO_TOLERANCES,
+    RECORDED,
+    SHIPPED_ROBOT,
+    GivenTolerances,
+    RobotOptions,
+    ValidationTolerances,
+    model_parts,
+)
 from rx90_emulator.identification.records import JointRecord
-from rx90_emulator.identification.result import ExcitationIdentification, TorqueValidation, base_parameters
+from rx90_emulator.identification.result import ExcitationIdentification, base_parameters
 from rx90_emulator.identification.robot import BagLayout, RecordedRobot
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
 from rx90_emulator.identification.rows.filtering import Bandwidths, recording_notes
 from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
 from rx90_emulator.identification.sanity import Recorded, alarms, body_alarms, log_alarms, moved_bodies
 from rx90_emulator.identification.validation.prediction import (
+    Validation,
     drive_torque,
     filtered_runs,
     recorded_equations,
@@ -48,14 +56,12 @@ from rx90_emulator.identification.validation.prediction import (
 )
 from rx90_emulator.identification.validation.verdict import RunTorques, run_torques
 
-_DEFAULT_TOLERANCES = ExcitationTolerances()
-
 
 def identify_excitation(
     bags: Sequence[Path | str],
     robot: RobotOptions = SHIPPED_ROBOT,
     validation: Sequence[Path | str] = (),
-    tolerances: ExcitationTolerances = _DEFAULT_TOLERANCES,
+    tolerances: GivenTolerances = NO_TOLERANCES,
     *,
     bristles: bool = False,
     model: Sequence[str] | None = None,
@@ -71,7 +77,7 @@ def identify_excitation(
         bags: one or more excitation runs.
         robot: that the bags come from; by default this project's.
         validation: runs to predict, which the identification does not use.
-        tolerances: limits for agreement with them.
+        tolerances: limits for agreement with them, all or some by name; the others are those of RECORDED.
         bristles: whether they are tried where no Stribeck rise was found, too.
         model: parts that all elements have, without selection: "coulomb-viscous", which every model contains, and the
             names in `options.MODEL_PARTS`; by default parts are selected by prediction. Only a part that ends at a
@@ -93,10 +99,10 @@ def identify_excitation(
     by_use = {"excitation": [Path(bag) for bag in bags], "validation": [Path(bag) for bag in validation]}
     everything = [*by_use["excitation"], *by_use["validation"]]
     if not by_use["excitation"]:
-        raise IdentificationError("no excitation run; accepted: --excitation BAG ...")
+        raise IdentificationError("no excitation run; accepted: bags of such runs, or their folder")
     check_given_once(by_use)
     parts = _requested_parts(bristles=bristles, model=model)
-    _check_robot(robot, rotors=rotors)
+    _check_rotors(robot, rotors=rotors)
     source = RecordedRobot.load(robot, everything, massless=True, follow=True)
     records = read_records(by_use, source, progress, currents=True)
     progress("filters and equations")
@@ -116,7 +122,6 @@ def identify_excitation(
     stated = problem.other([run for record in records["excitation"] for run in filtered_runs(record, source, compared)])
     result = ExcitationIdentification(
         robot=source,
-        options=robot,
         problem=problem,
         fitted=fitted,
         elements=identified_elements(problem, fitted, source.fallback),
@@ -124,7 +129,6 @@ def identify_excitation(
         consistency=consistency,
         compared=compared,
         torques=run_torques(stated, fitted.predicted(stated)),
-        validations=(),
         bodies=bodies,
         alarms=(*log_alarms(records), *sanity, *body_alarms(bodies)),
         notes=tuple(notes),
@@ -132,11 +136,12 @@ def identify_excitation(
     )
     if not records["validation"]:
         return result
+    limits = tolerances if isinstance(tolerances, ValidationTolerances) else replace(RECORDED, **tolerances)
     simplest = simplest_fit(problem)
     checks = []
     for record in records["validation"]:
         progress(record.source.name)
-        checks.append(_validation(result, arm, simplest, record, tolerances))
+        checks.append(_validation(result, arm, simplest, record, limits))
     return replace(result, validations=tuple(checks))
 
 
@@ -145,23 +150,28 @@ def _validation(
     arm: RigidArm,
     simplest: FittedArm,
     record: JointRecord,
-    tolerances: ExcitationTolerances,
-) -> TorqueValidation:
-    """Return the verdict of a run that the identification did not use."""
-    problem = result.problem
+    tolerances: ValidationTolerances,
+) -> Validation:
+    """Return the verdict of a run that the identification did not use, all predictions on the same rows."""
     bandwidths = validation_bandwidths(record, result.compared)
-    other = problem.other(filtered_runs(record, result.robot, bandwidths))
-    elements = [identified.element for identified in result.elements]
+    unseen = result.problem.other(filtered_runs(record, result.robot, bandwidths))
 
     def torques(predicted: Array) -> RunTorques:
-        return run_torques(other, predicted)[0]
+        return run_torques(unseen, predicted)[0]
 
-    return TorqueValidation(
-        torques=torques(result.fitted.predicted(other)),
-        simplest=torques(simplest.predicted(other)),
-        files=torques(written_torque(other, arm, elements)),
-        assumed_bristles=any(assumed_bristles(result.elements)),
+    files = torques(written_torque(unseen, arm, result.friction.elements))
+    return Validation(
+        names=files.names,
+        torque=files,
+        tip_time=np.zeros(0),
+        tip_distance=np.zeros(0),
         tolerances=tolerances,
+        source=str(record.source),
+        alarms=result.alarms,
+        unit=record.unit,
+        assumed_bristles=result.assumed_bristles,
+        fitted=torques(result.fitted.predicted(unseen)),
+        simplest=torques(simplest.predicted(unseen)),
     )
 
 
@@ -197,12 +207,8 @@ def _requested_parts(*, bristles: bool, model: Sequence[str] | None) -> tuple[Pa
     return tuple(part for part in Part if part.value in names)
 
 
-def _check_robot(robot: RobotOptions, *, rotors: bool) -> None:
-    """Refuse late torques, and a model without rotors if the drives' torques accelerate them."""
-    if robot.torque_delay:
-        raise IdentificationError(
-            f"torque_delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
-        )
+def _check_rotors(robot: RobotOptions, *, rotors: bool) -> None:
+    """Refuse a model without rotors if the drives' torques accelerate them."""
     if not rotors and (robot.urdf is None or robot.rotor_inertia is not None):
         given = "without --urdf" if robot.urdf is None else "with --rotor-inertia"
         raise IdentificationError(f"--no-rotors {given}; accepted: with --urdf, for torques measured behind the gears")
@@ -310,7 +316,8 @@ def predict_torque(
     arm = RecordedRobot.load(robot).arm
     at = np.asarray(time, dtype=np.float64)
     angle = np.asarray(position, np.float64)
-    if at.ndim != 1 or len(at) < 3 or not np.allclose(np.diff(at), at[1] - at[0], rtol=1e-3) or at[1] <= at[0]:
+    even = at.ndim == 1 and len(at) > 2 and np.allclose(np.diff(at), at[1] - at[0], rtol=1e-3)
+    if not even or at[1] <= at[0]:
         raise IdentificationError(f"time has shape {at.shape}; accepted: three or more even, increasing times")
     speed = np.gradient(angle, at, axis=0) if velocity is None else np.asarray(velocity, dtype=np.float64)
     change = np.gradient(speed, at, axis=0) if acceleration is None else np.asarray(acceleration, dtype=np.float64)

@@ -217,7 +217,7 @@ def identified_elements(
     for number, own in enumerate(estimates):
         other = None if fallback is None else fallback[number]
         element = _element(fitted, number, other, min(known, default=0.0))
-        elements.append(IdentifiedElement.of(element, own, dict.fromkeys(own, sources), other))
+        elements.append(IdentifiedElement(element, own, dict.fromkeys(own, sources)))
     return tuple(elements)
 
 
@@ -243,8 +243,3 @@ def _element(fitted: FittedArm, number: int, other: FrictionElement | None, leas
     if Part.BRISTLE in law.parts or other is None:
         return with_passive_fading(element, other)
     return element
-
-
-def assumed_bristles(elements: Sequence[IdentifiedElement]) -> tuple[bool, ...]:
-    """Return which elements have bristles that the runs do not tell."""
-    return tuple(not element.estimates["c0"].identifiable for element in elements)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +15,13 @@ import numpy as np
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.share import resolve_config
-from rx90_common.friction import FrictionElement, FrictionSet
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile, refuse_parts
 from rx90_common.friction.signs import SIGNS
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import (
     NOT_IN_MODEL,
     PRESLIDING,
-    SLIDING,
     ElementEstimate,
     IdentifiedElement,
     ParameterEstimate,
@@ -39,10 +38,12 @@ from rx90_emulator.identification.options import (
     model_parts,
 )
 from rx90_emulator.identification.presliding import PreslidingFit, identify_presliding
-from rx90_emulator.identification.records import BagSource, JointRecord, read_record
+from rx90_emulator.identification.records import JointRecord, read_record
+from rx90_emulator.identification.result import FrictionIdentification
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.rows.filtering import Bandwidths
-from rx90_emulator.identification.sliding import SlidingFit, identify_sliding
+from rx90_emulator.identification.sanity import log_alarms
+from rx90_emulator.identification.sliding import identify_sliding
 from rx90_emulator.identification.validation.prediction import Validation, validate
 
 _RATES = {"sliding": 250.0, "presliding": None, "excitation": 1000.0, "validation": 1000.0}
@@ -52,59 +53,6 @@ _MAX_TRAVEL_SHARE = 2.0  # of a joint's range: no offset of the zero explains mo
 _MAX_SPEED_SHARE = 20.0  # of a joint's limit: descriptions state 1 rad/s where an arm does 5
 _LEAST_TRAVEL = 5e-3  # rad, of the joint that moves most
 _MAX_SHARED = 0.02  # of a validation's travel: two runs of a noiseless engine may begin with the same samples
-
-
-@dataclass(frozen=True, eq=False)
-class FrictionIdentification:
-    """The identified friction of an arm.
-
-    Attributes:
-        arm: whose elements these are.
-        elements: in the order of the arm's.
-        sliding: the fit of the sliding regime.
-        presliding: the fit of the presliding regime.
-        fallback_name: file of the values that replace parameters that are not identifiable, if any.
-        bags: what was read, by use: sliding, presliding, validation.
-        validations: comparisons with bags that the identification did not use.
-        truth: the elements that emulated runs were made with, by name; empty where none are known.
-    """
-
-    arm: RigidArm
-    elements: tuple[IdentifiedElement, ...]
-    sliding: SlidingFit
-    presliding: PreslidingFit
-    fallback_name: str | None = None
-    bags: tuple[tuple[str, BagSource], ...] = ()
-    validations: tuple[Validation, ...] = ()
-    truth: Mapping[str, FrictionElement] = field(default_factory=dict)
-
-    @property
-    def lugre(self) -> tuple[FrictionElement, ...]:
-        """Return the elements to simulate with."""
-        return tuple(one.element for one in self.elements)
-
-    @property
-    def friction(self) -> FrictionSet:
-        """Return the friction to simulate this project's robot with."""
-        return FrictionSet(self.arm.element_names, self.lugre)
-
-    @property
-    def assumed_bristles(self) -> bool:
-        """Return whether c0 or c1 of an element are assumed."""
-        return not all(element.estimates[name].identifiable for element in self.elements for name in PRESLIDING)
-
-    @property
-    def confirmed(self) -> bool:
-        """Return whether every validation agrees, if there is any, and nothing looks wrong."""
-        agrees = all(check.passed and not check.alarms for check in self.validations)
-        return agrees and not self.sliding.doubt
-
-    @property
-    def scope(self) -> str:
-        """Return the scope of a verdict, "54 of 63 values are assumed"; "" where nothing is assumed."""
-        identifiable = [each.identifiable for one in self.elements for each in one.estimates.values()]
-        assumed = identifiable.count(False)
-        return f"{assumed} of {len(identifiable)} values are assumed" if assumed else ""
 
 
 def identify_friction(
@@ -118,7 +66,7 @@ def identify_friction(
     """Identify the friction of a robot from recorded bags (section 4 of Aarts, Jonker and Waiboer).
 
     Args:
-        bags: by use, or a folder that `rx90_experiment` wrote.
+        bags: by use, or a folder that `rx90 experiment` wrote.
         robot: that the bags come from; by default this project's.
         tolerances: what counts as agreement with the validation bags; by default, value by value, as in
             `check_friction`.
@@ -138,7 +86,9 @@ def identify_friction(
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(Path(bags))
     by_use = {use: getattr(chosen, use) for use in ("sliding", "presliding", "validation")}
     if not chosen.sliding:
-        raise IdentificationError("no bag with sweeps at constant velocity; accepted: a folder, or --sliding BAG ...")
+        raise IdentificationError(
+            "no bag with sweeps at constant velocity; accepted: such bags, or a folder that rx90 experiment wrote"
+        )
     if model is not None:
         model_parts(model, SLIDING_PARTS)  # refused before any bag is read
     check_given_once(by_use)
@@ -149,10 +99,11 @@ def identify_friction(
     checks = []
     for record in records["validation"]:
         progress(record.source.name)
-        check = validate(source, result.lugre, record, tolerances, sliding=result.sliding)
+        check = validate(source, result.friction.elements, record, tolerances, sliding=result.sliding)
         checks.append(replace(check, assumed_bristles=result.assumed_bristles))
     used = tuple((use, record.bag) for use, some in records.items() for record in some)
-    return replace(result, bags=used, validations=tuple(checks), truth=truth)
+    alarms = (*log_alarms(records), *result.alarms)
+    return replace(result, bags=used, validations=tuple(checks), alarms=alarms, truth=truth)
 
 
 def check_friction(
@@ -186,7 +137,7 @@ def check_friction(
     """
     by_use = {"validation": [Path(bag) for bag in bags]}
     if not bags:
-        raise IdentificationError("no bag to hold the friction against; accepted: --validation BAG ...")
+        raise IdentificationError("no bag to hold the friction against; accepted: bags of the arm")
     check_given_once(by_use)
     source = RecordedRobot.load(robot, by_use["validation"], follow=True)
     file, lugre, arm = with_friction(source.arm, friction, "a validation by recorded torques")
@@ -347,7 +298,7 @@ def identify_records(
     Args:
         sliding: sweeps at constant velocity.
         presliding: micro-oscillations; without any, c0 and c1 are not identifiable.
-        robot: rigid-body model, fallback values and the torques' delay.
+        robot: rigid-body model and fallback values.
         progress: called with the name of each step before it.
         model: as in `identify_friction`.
 
@@ -365,9 +316,7 @@ def identify_records(
         bristles = {"c0": ParameterEstimate(1e4, 0.0), "c1": ParameterEstimate(0.0, 0.0)}
         pairs = zip(slides.estimates, fallback, strict=True)
         known = [_element(estimate, bristles, other, least) for estimate, other in pairs]
-        seven = len(SLIDING)  # presliding does not depend on a viscous exponent
-        covariances = [estimate.covariance()[:seven, :seven] for estimate in slides.estimates]
-        cycles = identify_presliding(presliding, arm, known, robot.options.torque_delay, covariances)
+        cycles = identify_presliding(presliding, arm, known)
     else:
         reason = "no bag with micro-oscillations was given"
         cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names))
@@ -378,8 +327,10 @@ def identify_records(
             element = with_passive_fading(element, None)
         sources = dict.fromkeys(second.parameters, second.sources) | dict.fromkeys(first.parameters, first.sources)
         estimates = {**first.parameters, **second.parameters}
-        elements.append(IdentifiedElement.of(element, estimates, sources, other))
-    return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name)
+        elements.append(IdentifiedElement(element, estimates, sources))
+    return FrictionIdentification(
+        robot=robot, elements=tuple(elements), sliding=slides, presliding=cycles, alarms=slides.alarms
+    )
 
 
 # Without effect while tau_s = tau_c, or where there is no viscous friction.

@@ -1,45 +1,25 @@
-"""What `rx90_identify` and `rx90_compare_measured` do once their options have been checked: slow to import."""
+"""What `rx90 identify` does once its options have been checked: slow to import."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
 
 from tqdm import tqdm
 
-from rx90_common.base.errors import IdentificationError, check_place, check_replaced, write_error
-from rx90_common.base.share import versions
-from rx90_common.description.robot import load_robot
-from rx90_common.description.robot_files import FILES, MODEL_FILES, RobotFiles
-from rx90_common.process.files import write_all, write_text
-from rx90_controller.law.parameters import load_controller
-from rx90_emulator.identification.excitation import identify_excitation
-from rx90_emulator.identification.experiments.plan import IdentificationBags, read_index
-from rx90_emulator.identification.identify import FrictionIdentification, check_friction, identify_friction
-from rx90_emulator.identification.options import (
-    ExcitationTolerances,
-    GivenTolerances,
-    MeasuredLayout,
-    MeasuredTolerances,
-    RobotOptions,
-)
-from rx90_emulator.identification.output.assumed_files import weight_warning
+from rx90_common.base.errors import IdentificationError, check_place, check_replaced
+from rx90_common.description.robot_files import FILES
+from rx90_common.process.files import made_folder, write_all, write_text
+from rx90_emulator.identification.identify import check_friction
+from rx90_emulator.identification.options import GivenTolerances, RobotOptions
 from rx90_emulator.identification.output.friction_file import friction_text
-from rx90_emulator.identification.output.report import check_page, excitation_page, measured_page, report_page
+from rx90_emulator.identification.output.report import check_page, identification_page
 from rx90_emulator.identification.output.robot_files import folder_base, parameters_text, robot_files
-from rx90_emulator.identification.output.summary import (
-    check_summary,
-    excitation_summary,
-    identification_summary,
-    measured_summary,
-)
-from rx90_emulator.identification.result import ExcitationIdentification
-from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured, simulated_setup
-from rx90_emulator.loop.setup import Setup
+from rx90_emulator.identification.output.summary import check_summary, identification_summary
+from rx90_emulator.identification.result import ExcitationIdentification, FrictionIdentification, objection
 
 REPORT = "report.html"
 PARAMETERS = "parameters.yaml"
@@ -68,60 +48,84 @@ def check_targets(*files: Path | None, force: bool) -> None:
             kind = "a folder" if file.is_dir() else "no regular file"
             raise IdentificationError(f"{file} is {kind}; accepted: the name of a file")
         check_replaced(file, force=force, kind=IdentificationError)
-        folder = file.absolute().parent
-        if not folder.is_dir():
-            raise IdentificationError(f"{file}: the folder {folder} does not exist; accepted: a file in one that does")
+
+
+def identification_targets(output: Path, *, folder: bool, force: bool) -> None:
+    """Refuse places into which the files of an identification could not be written at the end.
+
+    Args:
+        output: friction file, or a folder.
+        folder: which of them.
+        force: whether files that exist are replaced.
+    """
+    if not folder:
+        if output.suffix == ".html":
+            raise IdentificationError(f"--output {output} is the place of the report; accepted: the name of a .yaml")
+        check_targets(output, output.with_suffix(".html"), force=force)
+        return
+    if output.exists() and not output.is_dir():
+        raise IdentificationError(f"{output} is no folder; accepted: the name of a folder")
+    check_targets(*([output / name for name in _FILES] if output.is_dir() else [output]), force=force)
 
 
 def write_identification(
-    result: FrictionIdentification, output: Path | str, report: Path | str | None = None, *, force: bool = False
-) -> tuple[Path, Path]:
-    """Write friction file and report, both or none, and return their names.
+    result: FrictionIdentification | ExcitationIdentification, output: Path | str, *, force: bool = False
+) -> tuple[Path, ...]:
+    """Write the files of an identification, all or none, and return their names.
 
     Args:
         result: what was identified.
-        output: friction file, .yaml.
-        report: HTML page; by default beside the friction file.
+        output: of sweeps the friction file, .yaml, beside which the report is written; of excitation runs a folder for
+            `report.html`, `parameters.yaml` and the files that the simulation loads. It is made if it does not exist;
+            other files in it stay.
         force: whether files that exist are replaced.
 
     Raises:
         IdentificationError: for files that exist without `force`, or names that are not acceptable.
         OutputError: for files that cannot be written.
     """
-    file, page = _checked_targets(Path(output), report, force=force)
-    write_all({file: friction_text(result).encode(), page: report_page(result, file.name).encode()})
-    return file, page
-
-
-def _checked_targets(output: Path, report: Path | str | None, *, force: bool) -> tuple[Path, Path]:
-    page = output.with_suffix(".html") if report is None else Path(report)
-    if output.resolve() == page.resolve():
-        raise IdentificationError(f"--output and --report are both {output}; accepted: two files")
-    check_targets(output, page, force=force)
-    return output, page
+    output = Path(output)
+    date = datetime.now(timezone.utc)
+    if isinstance(result, FrictionIdentification):
+        page = identification_page(result, date, (output.name,))
+        texts = {output: friction_text(result), output.with_suffix(".html"): page}
+        identification_targets(output, folder=False, force=force)
+        write_all({file: text.encode() for file, text in texts.items()})
+        return tuple(texts)
+    robot, note = robot_files(result, date)
+    page = identification_page(result, date, (*robot, note))
+    texts = {output / name: text for name, text in robot.items()}
+    texts |= {output / REPORT: page, output / PARAMETERS: parameters_text(result, date)}
+    identification_targets(output, folder=True, force=force)
+    with made_folder(output):
+        write_all({file: text.encode() for file, text in texts.items()})
+    return tuple(texts)
 
 
 def run_identification(
-    bags: IdentificationBags | Path,
-    robot: RobotOptions,
-    tolerances: GivenTolerances,
+    identify: Callable[[Callable[[str], None]], FrictionIdentification | ExcitationIdentification],
     output: Path,
-    report: Path | None = None,
     *,
-    model: Sequence[str] | None = None,
+    folder: bool,
     force: bool = False,
-) -> bool:
-    """Identify with a progress bar, write the files, print a summary, and return whether all validation bags agree.
+) -> str:
+    """Identify with a progress line, write the files, print a summary, and return what speaks against the result.
 
-    The arguments are those of `identify_friction` and `write_identification`; files are checked first.
+    Args:
+        identify: called with a callback for the name of each step.
+        output: as in `write_identification`; checked first.
+        folder: whether it is a folder.
+        force: whether files that exist are replaced.
     """
-    _checked_targets(output, report, force=force)
-    chosen = bags if isinstance(bags, IdentificationBags) else read_index(bags)
+    identification_targets(output, folder=folder, force=force)
     with steps() as step:
-        result = identify_friction(chosen, robot, tolerances, step, model=model)
-    files = write_identification(result, output, report, force=force)
-    print(f"{identification_summary(result)}\nfriction file: {files[0]}\nreport: {files[1]}")
-    return result.confirmed
+        result = identify(step)
+    files = write_identification(result, output, force=force)
+    print(identification_summary(result))
+    print(f"files: {', '.join(sorted(map(str, files)))}")
+    if isinstance(result, ExcitationIdentification) and result.robot.setup is None:
+        print(f"{output}: {folder_base(result.arm, Path(str(result.robot.options.urdf)))[1]}")
+    return objection(result.validations, result.alarms)
 
 
 def run_check(
@@ -132,8 +136,8 @@ def run_check(
     report: Path | None = None,
     *,
     force: bool = False,
-) -> bool:
-    """Compare a friction file with bags, write the report if requested, and return whether all bags agree.
+) -> str:
+    """Compare a friction file with bags, write the report if requested, and return what speaks against the file.
 
     The arguments are those of `check_friction`; the report's place is checked first.
     """
@@ -145,119 +149,4 @@ def run_check(
         write_text(report, check_page(checks, friction))
         lines.append(f"report: {report}")
     print("\n".join(lines))
-    return all(check.passed and not check.alarms for check in checks)
-
-
-def _check_folder(folder: Path, *, force: bool) -> None:
-    """Refuse a folder, existing or not, into which the robot's files could not be written at the end."""
-    if folder.exists() and not folder.is_dir():
-        raise IdentificationError(f"{folder} is no folder; accepted: the name of a folder")
-    check_targets(*([folder / name for name in _FILES] if folder.is_dir() else [folder]), force=force)
-
-
-def write_excitation(result: ExcitationIdentification, folder: Path | str, *, force: bool = False) -> Path:
-    """Write the result of an identification into a folder, all files or none, and return the folder.
-
-    The folder holds `report.html`, `parameters.yaml` and the files that the simulation loads.
-
-    Args:
-        result: what was identified.
-        folder: made if it does not exist; other files in it stay.
-        force: whether files that exist are replaced.
-
-    Raises:
-        IdentificationError: for files that exist without `force`, or a place where no folder can be made.
-        OutputError: for files that cannot be written.
-    """
-    folder = Path(folder)
-    date = datetime.now(timezone.utc)
-    _check_folder(folder, force=force)
-    robot, note = robot_files(result, date)
-    page = excitation_page(result, date, versions(), (*robot, note))
-    texts = {**robot, REPORT: page, PARAMETERS: parameters_text(result, date, versions())}
-    _check_folder(folder, force=force)  # again: another identification may have written there meanwhile
-    new = not folder.is_dir()
-    try:
-        folder.mkdir(exist_ok=True)
-        write_all({folder / name: text.encode() for name, text in texts.items()})
-    except BaseException as error:
-        if new:
-            with suppress(OSError):
-                folder.rmdir()
-        if isinstance(error, OSError):
-            raise write_error(folder, error) from error
-        raise
-    return folder
-
-
-def run_excitation(
-    bags: Sequence[Path],
-    robot: RobotOptions,
-    validation: Sequence[Path],
-    tolerances: ExcitationTolerances,
-    output: Path,
-    *,
-    force: bool = False,
-    **how: Any,
-) -> bool:
-    """Identify with a progress bar, write the folder, print a summary, and return whether all validation runs agree.
-
-    The arguments are those of `identify_excitation`; the folder is checked first.
-    """
-    _check_folder(output, force=force)
-    with steps() as step:
-        result = identify_excitation(bags, robot, validation, tolerances, progress=step, **how)
-    folder = write_excitation(result, output, force=force)
-    print(f"{excitation_summary(result)}\n{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
-    if result.robot.setup is None:
-        base, note = folder_base(result.problem.arm, Path(str(result.options.urdf)))
-        print(f"{folder}: {note}")
-        if base is not None:
-            law = load_controller(folder / FILES["controller"])
-            if lost := weight_warning(load_robot(folder / FILES["urdf"]), base.turning, law):
-                print(f"warning: {folder}: {lost}")
-    return result.confirmed
-
-
-def write_measured(result: MeasuredComparison, setup: Setup, page: Path | str, *, force: bool = False) -> Path:
-    """Write the report of a comparison and return its name.
-
-    Args:
-        result: the comparison.
-        setup: the arm that was simulated.
-        page: HTML file.
-        force: whether an existing file is replaced.
-
-    Raises:
-        IdentificationError: for a file that exists without `force`, or whose folder is missing.
-        OutputError: for a file that cannot be written.
-    """
-    page = Path(page)
-    check_targets(page, force=force)
-    files = () if setup.files is None else tuple(setup.files.text(role) for role in MODEL_FILES)
-    write_text(page, measured_page(result, files))
-    return page
-
-
-def run_comparison(
-    bag: Path,
-    files: RobotFiles,
-    layout: MeasuredLayout,
-    tolerances: MeasuredTolerances,
-    bandwidth: float | None = None,
-    page: Path | None = None,
-    *,
-    force: bool = False,
-) -> bool:
-    """Compare with a progress bar, write the report if requested, print a table, and return the verdict.
-
-    The arguments are those of `compare_measured`, with the files of the robot; the report's place is checked first.
-    """
-    check_targets(page, force=force)
-    setup = simulated_setup(files)
-    with steps() as step:
-        result = compare_measured(bag, setup, layout, tolerances, bandwidth=bandwidth, progress=step)
-    print(measured_summary(result))
-    if page is not None:
-        print(f"report: {write_measured(result, setup, page, force=force)}")
-    return result.passed
+    return objection(checks)

@@ -25,82 +25,74 @@ def model_parts(model: Sequence[str], accepted: Sequence[str] = MODEL_PARTS) -> 
     """Return the parts of a model beside Coulomb and viscous friction, which every model has."""
     unknown = [name for name in model if name not in (COULOMB_VISCOUS, *accepted)]
     if unknown or not model:
-        found = quoted(unknown[0]) if unknown else "no part"
-        raise ConfigError(f"--model: {found}; accepted: {', '.join((COULOMB_VISCOUS, *accepted))}")
+        wrong = quoted(unknown[0]) if unknown else "no part"
+        raise ConfigError(f"--model: {wrong}; accepted: {', '.join((COULOMB_VISCOUS, *accepted))}")
     return tuple(name for name in accepted if name in model)
 
 
 @dataclass(frozen=True)
-class RobotOptions:
-    """The robot that bags come from: this project's by default, any other one with `urdf`.
+class MeasuredLayout:
+    """The contents of the JointState messages of bags; a signal map may state them instead.
+
+    By default those of this project's robot: the topic motor_states where a bag has it, else joint_states; its names;
+    for motor_states its gears and the coupling of its wrist, where motor 6 turns with joints 5 and 6.
+
+    Attributes:
+        topic: JointState topic.
+        names: names of n joints, or of their motors with `gear`, in the messages.
+        gear: motor turns per joint turn, shape (n,), if the messages hold the motors' states.
+        coupling: turns of each motor per joint turn without the gears, row by row, shape (n * n,).
+        torque_constant: torque per unit of effort, shape (n,), if effort is a current, Nm/A.
+        zero: recorded angle of each joint in the zero pose of its URDF, which is subtracted, rad, shape (n,); by
+            default 0.
+        record_time: whether the times of recording replace the stamps in the headers.
+        signals: signal map that states these, and the columns of tables; by default the file beside a table.
+    """
+
+    topic: str | None = None
+    names: Sequence[str] | None = None
+    gear: Sequence[float] | None = None
+    coupling: Sequence[float] | None = None
+    torque_constant: Sequence[float] | None = None
+    zero: Sequence[float] | None = None
+    record_time: bool = False
+    signals: Path | str | None = None
+
+
+@dataclass(frozen=True)
+class RobotOptions(MeasuredLayout):
+    """The robot that bags come from, and their contents: this project's by default, any other one with `urdf`.
 
     Attributes:
         robot: name or folder of this project's robot; by default the RX90B.
         tool: tool file of this project's robot, or "none"; by default the robot's own.
         drives: drives file of this project's robot; by default the robot's own.
-        urdf: description of another robot, with n joints; the following attributes belong to it.
-        topic: JointState topic; by default joint_states.
+        urdf: description of another robot, with n joints; then the topic is joint_states unless stated.
         joints: joints of interest from base to tip; the others are held at 0. By default all movable ones.
-        names: names of these joints, or of their motors with `gear`, in the messages; by default `joints`.
-        gear: motor turns per joint turn, shape (n,), if the messages hold the motors' states.
-        coupling: turns of each motor per joint turn without the gears, row by row, shape (n * n,); by default the
-            identity.
-        torque_constant: torque per unit of effort, shape (n,), if effort is a current, Nm/A.
         rotor_inertia: of each motor, seen through its gear, kg m^2, shape (n,).
         spring: amplitude k of a torque -k sin(q) on each joint, Nm, shape (n,).
         fallback: friction file for omega_d and for parameters that are not identifiable, or "none"; by default the
             robot's own file for this project's robot and none for another one.
-        torque_delay: by how much a torque acted later than in the sample period that ends at its stamp, s; half a
-            period for a torque that was sampled at its stamp.
-        record_time: whether the times of recording replace the stamps in the headers.
-        zero: recorded angle of each joint in the zero pose of its URDF, which is subtracted, rad, shape (n,); by
-            default 0.
-        signals: signal map that states topic, names, gear, coupling, torque_constant, zero and record_time instead of
-            these options, and the columns of tables; by default the file beside a table.
+        torque_delay: by how much torques acted later than their stamps say, s; negative where they were recorded late.
+            Micro-oscillations take a torque as that of the sample period that ends at its stamp: half a period where it
+            was sampled at its stamp.
     """
 
     robot: str | None = None
     tool: str | None = None
     drives: str | None = None
     urdf: Path | str | None = None
-    topic: str | None = None
     joints: Sequence[str] | None = None
-    names: Sequence[str] | None = None
-    gear: Sequence[float] | None = None
-    coupling: Sequence[float] | None = None
-    torque_constant: Sequence[float] | None = None
     rotor_inertia: Sequence[float] | None = None
     spring: Sequence[float] | None = None
     fallback: str | None = None
     torque_delay: float = 0.0
-    record_time: bool = False
-    zero: Sequence[float] | None = None
-    signals: Path | str | None = None
 
 
 SHIPPED_ROBOT = RobotOptions()
 
 
-@dataclass(frozen=True)
-class MeasuredLayout:
-    """The contents of the JointState messages of a measured bag of this project's arm, n = 6 joints.
-
-    The attributes are those of the same names in `RobotOptions`, with other defaults: the topic motor_states where the
-    bag has it, else joint_states; this project's names; for motor_states the robot's gears and the coupling of its
-    wrist, where motor 6 turns with joints 5 and 6.
-    """
-
-    topic: str | None = None
-    names: Sequence[str] | None = None
-    gear: Sequence[float] | None = None
-    coupling: Sequence[float] | None = None
-    torque_constant: Sequence[float] | None = None
-    zero: Sequence[float] | None = None
-    record_time: bool = False
-    signals: Path | str | None = None
-
-
-class _Tolerances:
+class Tolerances:
     """Limits for agreement: positive numbers."""
 
     def __post_init__(self) -> None:
@@ -110,7 +102,7 @@ class _Tolerances:
 
 
 @dataclass(frozen=True)
-class ValidationTolerances(_Tolerances):
+class ValidationTolerances(Tolerances):
     """Limits for agreement in a validation.
 
     Attributes:
@@ -130,40 +122,10 @@ EMULATED = ValidationTolerances()
 """Limits for bags with set-points of this project's controller, along which the closed loop is run, too."""
 
 
-@dataclass(frozen=True)
-class ExcitationTolerances(_Tolerances):
-    """Limits for agreement of an excitation run that the identification did not use.
-
-    Attributes:
-        total: RMS difference of the torques of all joints over their RMS recorded torque.
-        joint: the same for each joint alone; light joints differ more, because friction is most of their torque.
-    """
-
-    total: float = 0.1
-    joint: float = 0.3
-
-
-RECORDED = ValidationTolerances(
-    torque=ExcitationTolerances.joint, worst_torque=math.inf, total=ExcitationTolerances.total
-)
-"""Limits for all other bags: those of excitation runs, so that both validations judge alike."""
+RECORDED = ValidationTolerances(torque=0.3, worst_torque=math.inf)
+"""Limits for all other bags; light joints differ more, because friction is most of their torque."""
 
 
 GivenTolerances: TypeAlias = ValidationTolerances | Mapping[str, float]
 """All limits, or some by the names of the attributes; the others are then those of EMULATED or RECORDED."""
 NO_TOLERANCES: Mapping[str, float] = MappingProxyType({})
-
-
-@dataclass(frozen=True)
-class MeasuredTolerances(_Tolerances):
-    """Limits for agreement of a simulated run with a measured one.
-
-    Attributes:
-        torque: RMS difference of a joint's torque over its RMS measured torque.
-        total_torque: the same for all joints together.
-        position: largest difference of a joint's position, rad.
-    """
-
-    torque: float = 0.25
-    total_torque: float = 0.1
-    position: float = 5e-3

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
@@ -17,7 +17,6 @@ from rx90_emulator.identification.arm import JointGroup, RigidArm, joint_groups
 from rx90_emulator.identification.estimates import (
     LARGEST_DEVIATION,
     PRESLIDING,
-    SLIDING,
     ElementEstimate,
     ParameterEstimate,
 )
@@ -33,8 +32,7 @@ _BREAK_AWAY_SHARE = 0.7  # of break-away; beyond it bristles slide, and their to
 _MIN_RELATIVE_LOAD = 0.25  # of the strongest motion of a group: fainter ones tell little
 _MAX_MOTIONS_PER_BAG = 3  # of a group
 _PASSES = 3  # each with the noise that the previous one left
-_RELATIVE_STEP = 1e-4  # of difference quotients
-_FLOOR = (0.005, 0.01)  # relative deviation of c0 and c1: residuals do not show encoder steps, nor errors of 10 us
+_FLOOR = (0.005, 0.01)  # relative deviation of c0 and c1: residuals show neither errors of tau_c, nor of 10 us
 _NEARLY_SLIDING = 0.75  # of an element's Coulomb torque: beyond it small errors of the motion deflect bristles far
 _SLIDING_LOAD = 0.95  # of it: bristles slide
 _MAX_MISFIT = 0.3  # of the friction torque
@@ -60,11 +58,7 @@ class PreslidingFit:
 
 
 def identify_presliding(
-    records: Sequence[JointRecord],
-    arm: RigidArm,
-    sliding: Sequence[FrictionElement],
-    torque_delay: float = 0.0,
-    sliding_covariances: Sequence[Array] | None = None,
+    records: Sequence[JointRecord], arm: RigidArm, sliding: Sequence[FrictionElement]
 ) -> PreslidingFit:
     """Fit c0 and c1 of every element whose joints make micro-oscillations.
 
@@ -72,30 +66,24 @@ def identify_presliding(
         records: motion with reversals well within the bristles' range, 500 samples per second or more.
         arm: rigid-body model of the same joints.
         sliding: the sliding regime of the arm's elements, in its order; their c0 and c1 are not used.
-        torque_delay: by how much a torque acted later than in the sample period that ends at its stamp, s.
-        sliding_covariances: of each element's sliding regime, in the order of SLIDING, shape (7, 7); None if it is
-            known exactly.
     """
     groups = joint_groups(arm)
-    found = [find_micro_motions(record, arm, groups, torque_delay) for record in records]
-    if not any(any(of_record) for of_record in found):
+    motions_of = [find_micro_motions(record, arm, groups) for record in records]
+    if not any(any(of_record) for of_record in motions_of):
         where = ", ".join(str(record.source) for record in records) or "no bag"
         raise IdentificationError(
             f"{where}: no velocity reversals small enough for the presliding regime; accepted: oscillations of "
-            "some 0.1 mrad at some 3 to 30 Hz, such as rx90_experiment makes"
+            "some 0.1 mrad at some 3 to 30 Hz, such as rx90 experiment makes"
         )
-    covariances = sliding_covariances or [np.zeros((len(SLIDING),) * 2)] * len(sliding)
-    estimates: dict[int, ElementEstimate] = {}
+    reason = f"no micro-oscillation of its joints in the bags, or {_REACTIONS}"
+    estimates = [ElementEstimate.unknown(name, PRESLIDING, reason) for name in arm.element_names]
     loops: dict[str, tuple[Array, dict[str, Array]]] = {}
     used = 0
     for number, group in enumerate(groups):
         elements = [sliding[e] for e in group.elements]
         break_away = group.break_away(elements)
-        motions = [motion for of_record in found for motion in _most_informative(of_record[number], break_away)]
+        motions = [motion for of_record in motions_of for motion in _most_informative(of_record[number], break_away)]
         if not motions:
-            reason = f"no micro-oscillation of its joints in the bags, or {_REACTIONS}"
-            for e in group.elements:
-                estimates[e] = ElementEstimate.unknown(arm.element_names[e], PRESLIDING, reason)
             continue
         result = _GroupFit.of(motions, group, elements)
         far = [motion for motion, load in zip(motions, result.loads.max(axis=1), strict=True) if load < _NEARLY_SLIDING]
@@ -103,11 +91,10 @@ def identify_presliding(
             # An element of several joints may nearly slide although the torque of each is far from break-away.
             result = _GroupFit.of(far, group, elements)
         used += len(result.rows.motions)
-        spread = block_diag(*(covariances[e] for e in group.elements))
-        estimates |= zip(group.elements, result.estimates(arm, group, spread), strict=True)
+        for e, estimate in zip(group.elements, result.estimates(arm, group), strict=True):
+            estimates[e] = estimate
         loops |= {arm.names[joint]: result.loop(place) for place, joint in enumerate(group.joints)}
-    ordered = tuple(estimates[e] for e in range(len(arm.element_names)))
-    return PreslidingFit(ordered, loops, used)
+    return PreslidingFit(tuple(estimates), loops, used)
 
 
 def _most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list[MicroMotion]:
@@ -160,49 +147,24 @@ class _GroupFit:
         position = motion.position[:, place]
         return position - position.mean(), {"measured": motion.friction[:, place], "simulated": simulated}
 
-    def estimates(self, arm: RigidArm, group: JointGroup, sliding: Array) -> list[ElementEstimate]:
-        """Return the elements' estimates, given the covariance of their sliding regime, shape (7 e, 7 e)."""
+    def estimates(self, arm: RigidArm, group: JointGroup) -> list[ElementEstimate]:
+        """Return the elements' estimates."""
         spread = deviations(self.fit)
-        count = self.rows.bristles.stop
-        slopes = self._by_sliding()[:count]
-        covariance = spread.covariance[:count, :count] + slopes @ sliding @ slopes.T
-        covariance += np.diag(np.tile(_FLOOR, len(self.rows.elements))) ** 2
         doubts = self._doubts(arm, group)
         sources = tuple(dict.fromkeys(motion.record.bag for motion in self.rows.motions))
-        found = []
+        estimates = []
         for place, e in enumerate(group.elements):
-            own = slice(2 * place, 2 * place + 2)
-            relative = np.sqrt(np.diag(covariance[own, own]))
             parameters = {}
-            for name, logarithm, sd, known in zip(
-                PRESLIDING, self.fit.x[own], relative.tolist(), spread.determined[own], strict=True
-            ):
-                value = float(np.exp(logarithm))
+            for number, name in enumerate(PRESLIDING, 2 * place):
+                relative = math.hypot(math.sqrt(spread.covariance[number, number]), _FLOOR[number - 2 * place])
+                value = math.exp(self.fit.x[number])
                 reason = doubts[place]
-                if not reason and not (known and sd < LARGEST_DEVIATION):
-                    reason = f"relative standard deviation {sd:.2g} at a value of {value:.3g}"
-                estimate = ParameterEstimate(value, value * sd)
+                if not reason and not (spread.determined[number] and relative < LARGEST_DEVIATION):
+                    reason = f"relative standard deviation {relative:.2g} at a value of {value:.3g}"
+                estimate = ParameterEstimate(value, value * relative)
                 parameters[name] = ParameterEstimate.unknown(reason) if reason else estimate
-            found.append(ElementEstimate.of(arm.element_names[e], parameters, covariance[own, own], sources))
-        return found
-
-    def _by_sliding(self) -> Array:
-        """Return by how much all parameters of the fit change with the sliding regime, shape (q + p, 7 e)."""
-        here = self.rows.torque(self.fit.x)[0]
-        columns = self.fit.columns
-        information = columns.T @ columns + self.fit.prior_information
-        changes = []
-        for n, element in enumerate(self.rows.elements):
-            for name in SLIDING:
-                # The Coulomb torque is decreased, so that it stays below the static one.
-                value = element.parameters[name]
-                step = value * (-_RELATIVE_STEP if name.startswith("tau_c") else _RELATIVE_STEP)
-                moved = list(self.rows.elements)
-                moved[n] = element.with_parameters({name: value + step})
-                torque = replace(self.rows, elements=moved).torque(self.fit.x)[0]
-                changes.append((torque - here) / step if step else 0.0 * here)
-        pull = columns.T @ (np.sqrt(self.fit.weight)[:, None] * np.column_stack(changes))
-        return np.asarray(-np.linalg.lstsq(information, pull, rcond=1e-12)[0])
+            estimates.append(ElementEstimate(arm.element_names[e], parameters, sources))
+        return estimates
 
     def _doubts(self, arm: RigidArm, group: JointGroup) -> list[str]:
         """Return why the model does not hold for each element; empty if it does."""

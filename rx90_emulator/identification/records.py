@@ -26,7 +26,7 @@ from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.topics import FIELDS
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import listed, plain, quoted
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_emulator.identification.robot import BagLayout
 
@@ -63,7 +63,6 @@ class BagSource:
         path: the bag.
         sha256: digest of its storage.
         duration: time from the first to the last sample, s.
-        missing: messages missing from a steady stream.
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
         begin: stamp of the first sample, s.
         unit: of the torques: Nm, or A where they are currents without torque constants.
@@ -72,8 +71,7 @@ class BagSource:
     path: Path
     sha256: str
     duration: float
-    missing: int
-    outliers: int
+    outliers: int = 0
     begin: float = 0.0
     unit: str = "Nm"
 
@@ -85,7 +83,7 @@ class BagSource:
         return datetime.fromtimestamp(self.begin, timezone.utc).isoformat(timespec="seconds")
 
 
-_CONTENT_DECIMALS = 6  # of rad and Nm: samples that were rounded to fewer digits still compare as equal
+_CONTENT_STEP = 1e-6  # rad and Nm: samples that were rounded to fewer digits still compare as equal
 _CONTENT_ROWS = 3  # successive samples that do not agree by chance
 _HASH_SEED = 7
 
@@ -104,17 +102,19 @@ class Content(NamedTuple):
     @classmethod
     def of(cls, position: Array, effort: Array) -> Content:
         """Return the content for positions and efforts as logged, each of shape (m, n)."""
-        values = np.round(np.hstack([position, effort]), _CONTENT_DECIMALS) + 0.0
-        factor = np.random.default_rng(_HASH_SEED).integers(1, 2**63, (_CONTENT_ROWS, values.shape[1]), np.uint64)
-        numbers = values.view(np.uint64)
-        count = max(0, len(values) - _CONTENT_ROWS + 1)
-        terms = [(numbers[k : k + count] * (2 * row + 1)).sum(axis=1, dtype=np.uint64) for k, row in enumerate(factor)]
-        marks = np.stack([one ^ (one >> np.uint64(31)) for one in terms]).sum(axis=0, dtype=np.uint64)
-        return cls(marks, np.abs(np.diff(position, axis=0, prepend=position[:1])).sum(axis=1)[:count])
+        numbers = np.rint(np.hstack([position, effort]) / _CONTENT_STEP).astype(np.int64).astype(np.uint64)
+        factor = np.random.default_rng(_HASH_SEED).integers(1, 2**63, (_CONTENT_ROWS, numbers.shape[1]), np.uint64)
+        count = max(0, len(numbers) - _CONTENT_ROWS + 1)
+        marks = np.zeros(count, np.uint64)
+        for k, row in enumerate(factor):
+            marks += (numbers[k : k + count] * row).sum(axis=1, dtype=np.uint64)
+        travel = np.abs(np.diff(position, axis=0, prepend=position[:1])).sum(axis=1)
+        return cls(marks, travel[:count])
 
     def shared(self, other: Content) -> float:
         """Return the share of its travel that another log contains, too."""
-        return float(self.travel[np.isin(self.marks, other.marks)].sum() / max(self.travel.sum(), 1e-300))
+        common = self.travel[np.isin(self.marks, other.marks)]
+        return float(common.sum() / max(self.travel.sum(), 1e-300))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,10 +129,7 @@ class JointRecord:
         torque: drive torque at the joint, friction not subtracted, Nm, shape (m, n).
         source: the bag.
         sha256: digest of the bag.
-        missing: messages missing from a steady stream.
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
-        no_velocity: why the velocities are differences of positions; empty where they were recorded.
-        shocks: begin and end of the times whose torque is not the arm's, s.
         alarms: what looks wrong in the log and was mended, a sentence each.
         content: for the comparison with other logs; None for a record that was not read from a file.
         unit: of the torques, as in BagSource.
@@ -145,23 +142,16 @@ class JointRecord:
     torque: Array
     source: Path
     sha256: str
-    missing: int = 0
     outliers: int = 0
-    no_velocity: str = "none were recorded"
-    shocks: tuple[tuple[float, float], ...] = ()
     alarms: tuple[str, ...] = ()
     content: Content | None = None
     unit: str = "Nm"
 
     def of_joints(self, names: Sequence[str]) -> JointRecord:
         """Return the record with all its joints in another order."""
-        if tuple(names) == self.names:
-            return self
         place = [self.names.index(name) for name in names]
-        position = self.position[:, place]
-        velocity = self.velocity[:, place]
-        torque = self.torque[:, place]
-        return replace(self, names=tuple(names), position=position, velocity=velocity, torque=torque)
+        values = {field: getattr(self, field)[:, place] for field in ("position", "velocity", "torque")}
+        return replace(self, names=tuple(names), **values)
 
     @cached_property
     def period(self) -> float:
@@ -171,10 +161,8 @@ class JointRecord:
     @property
     def bag(self) -> BagSource:
         """Return the bag with the figures of its reading."""
-        duration = float(self.time[-1] - self.time[0])
-        return BagSource(
-            self.source, self.sha256, duration, self.missing, self.outliers, float(self.time[0]), self.unit
-        )
+        begin = float(self.time[0])
+        return BagSource(self.source, self.sha256, float(self.time[-1]) - begin, self.outliers, begin, self.unit)
 
 
 _REST_SPEED = 0.05  # rad/s, and share of the fastest joint's speed: below both a joint rests
@@ -246,9 +234,8 @@ def read_record(
 ) -> JointRecord:
     """Read one bag.
 
-    Messages with a NaN and spikes of a single sample are left out and counted; messages that are missing in a steady
-    stream are counted, too. Velocities come from the messages; where these carry none or quantised ones, positions are
-    differentiated by a zero-phase filter.
+    Messages with a NaN and spikes of a single sample are left out and counted. Velocities come from the messages; where
+    these carry none or quantised ones, positions are differentiated by a zero-phase filter.
 
     Args:
         path: a rosbag2 folder, an .mcap or .db3 file, a ROS 1 .bag file, or a table.
@@ -268,31 +255,36 @@ def read_record(
     time = series.stamp_ns[good] / NANOSECONDS
     fields = {name: values[good] for name, values in series.fields.items()}
     _check_sizes(where, fields)
-    new = repeated_samples(fields["position"])
     alarms = []
+    new = repeated_samples(fields["position"])
     if new is not None:
         alarms.append(_repeated_text(new, time))
         time = time[new]
         fields = {name: values[new] for name, values in fields.items()}
     if layout.turns is None:
         alarms += _unwrap(names, time, fields["position"])
-    no_velocity = _add_velocity(where, names, time, fields)
+    fields["velocity"] = _velocity(where, names, time, fields)
+    content = Content.of(fields["position"], fields["effort"])
+    if layout.torque_delay:
+        acted = time - layout.torque_delay
+        fields["effort"] = np.column_stack([np.interp(acted, time, column) for column in fields["effort"].T])
     joints = layout.joint_side({name: values[:, :count] for name, values in fields.items()})
-    size = 1 if rate is None or len(time) < 2 else max(1, round((len(time) - 1) / (time[-1] - time[0]) / rate))
+    size = 1
+    if rate is not None and len(time) > 1:
+        recorded = (len(time) - 1) / (time[-1] - time[0])
+        size = max(1, round(recorded / rate))
     means = {name: block_means(np.hstack([joints[name], fields[name][:, count:]]), size) for name in FIELDS}
     return JointRecord(
-        (*layout.names, *layout.followed),
-        block_means(time, size),
-        means["position"],
-        means["velocity"],
-        means["effort"],
-        path,
-        digest(path),
-        missing=_missing(series.time),
+        names=(*layout.names, *layout.followed),
+        time=block_means(time, size),
+        position=means["position"],
+        velocity=means["velocity"],
+        torque=means["effort"],
+        source=path,
+        sha256=digest(path),
         outliers=len(series.stamp_ns) - len(good),
-        no_velocity=no_velocity,
         alarms=tuple(f"{path}: {alarm}" for alarm in alarms),
-        content=Content.of(fields["position"], fields["effort"]),
+        content=content,
         unit=unit,
     )
 
@@ -323,18 +315,17 @@ def _check_sizes(where: str, fields: Mapping[str, Array]) -> None:
             raise IdentificationError(f"{where}: the largest {name} is {most:.3g}; accepted: {accepted}")
 
 
-def _add_velocity(where: str, names: Sequence[str], time: Array, fields: dict[str, Array]) -> str:
-    """Differentiate positions where a log has no velocity of a joint, or a coarse one; return why."""
+def _velocity(where: str, names: Sequence[str], time: Array, fields: Mapping[str, Array]) -> Array:
+    """Return the velocities of a log, differentiated positions where it has none of a joint or coarse ones."""
     position = fields["position"]
-    velocity = fields.get("velocity")
-    if velocity is None:
-        fields["velocity"] = _differentiated(time, position)
-        return JointRecord.no_velocity
+    if "velocity" not in fields:
+        return _differentiated(time, position)
+    velocity = fields["velocity"].copy()
     fewest = min(_MIN_DISTINCT_VELOCITIES, len(time) / 4)
     poor = [k for k, column in enumerate(velocity.T) if len(np.unique(column)) < fewest]
     velocity[:, poor] = _differentiated(time, position[:, poor])
     _check_velocity(where, names, time, position, velocity)
-    return f"those of {listed([names[k] for k in poor])} have few values" if poor else ""
+    return velocity
 
 
 def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:
@@ -355,7 +346,8 @@ def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:
     rows = np.flatnonzero(np.append(True, steps > 0) & np.all(finite, axis=0))
     if len(rows) == 0:
         raise IdentificationError(f"{where} carries no message with finite numbers alone")
-    return np.asarray(rows[~(spikes(series.fields["position"][rows]) | spikes(series.fields["effort"][rows]))])
+    spoilt = spikes(series.fields["position"][rows]) | spikes(series.fields["effort"][rows])
+    return np.asarray(rows[~spoilt])
 
 
 _LEAST_STEPS = 5.0  # of an encoder between samples, above which it moves too fast to repeat a position
@@ -392,7 +384,8 @@ def _repeated_text(new: Mask, time: Array) -> str:
 
 def _unwrap(names: Sequence[str], time: Array, position: Array) -> Iterator[str]:
     """Continue positions, in place, where they jump by whole turns from a sample to the next; yield what was done."""
-    near = np.diff(time) < 3.5 * np.median(np.diff(time)) if len(time) > 1 else np.zeros(0, np.bool_)
+    steps = np.diff(time)
+    near = steps < 3.5 * np.median(steps) if len(steps) else np.zeros(0, np.bool_)
     for name, column in zip(names, position.T, strict=True):
         turns = np.where(near, np.rint(np.diff(column) / math.tau), 0.0)
         jumps = np.flatnonzero(turns)
@@ -403,17 +396,6 @@ def _unwrap(names: Sequence[str], time: Array, position: Array) -> Iterator[str]
                 f"the position of {quoted(name)} jumps by 2 pi at sample {first}, {time[first] - time[0]:.6g} s after "
                 f"the first, and {len(jumps)} times in all; it is continued; accepted: positions that do not wrap"
             )
-
-
-def _missing(time: Array) -> int:
-    """Return how many messages are missing from a steady stream."""
-    steps = np.diff(time)
-    if not len(steps):
-        return 0
-    period = float(np.median(steps))
-    in_gaps = float(np.sum(np.maximum(np.rint(steps / period) - 1.0, 0.0)))
-    # Jitter makes gaps without a loss; an error of the median period makes losses without a gap.
-    return int(min(in_gaps, max(0.0, np.rint((time[-1] - time[0]) / period) - np.count_nonzero(steps))))
 
 
 def _differentiated(time: Array, position: Array) -> Array:

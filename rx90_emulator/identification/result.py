@@ -1,30 +1,37 @@
-"""The result of an identification from excitation runs: parameters, torques and predictions, elements to simulate."""
+"""The result of an identification: elements to simulate, verdicts, alarms, and what each kind of data tells beside."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_common.friction import FrictionElement, FrictionSet
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.bodies import Consistency
-from rx90_emulator.identification.estimates import IdentifiedElement, ParameterEstimate
+from rx90_emulator.identification.estimates import PRESLIDING, FrictionCurve, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.fitted import FittedArm
-from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions
+from rx90_emulator.identification.presliding import PreslidingFit
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
 from rx90_emulator.identification.rows.filtering import Bandwidths
 from rx90_emulator.identification.sanity import MovedBodies
-from rx90_emulator.identification.validation.verdict import Criterion, RunTorques, torque_criteria
+from rx90_emulator.identification.sliding import SlidingFit
+from rx90_emulator.identification.validation.prediction import Validation
+from rx90_emulator.identification.validation.verdict import RunTorques
 
 UNITS = {"m": "kg", "mx": "kg m", "my": "kg m", "mz": "kg m", "k": "Nm", "offset": "Nm"}
 """Units of base parameters by the first word of their names; of all others kg m^2."""
 NOT_DETERMINED = "these runs do not determine it"
 UNEXPLAINED = 0.7
 """Share of a torque's variation: beyond, less than half of its square is explained."""
+_LINE_POINTS = 100
+_SPEED_BINS = 10  # of each sign
+_MIN_BIN_SAMPLES = 8
 
 
 @dataclass(frozen=True)
@@ -46,55 +53,6 @@ class BaseParameter:
     consistent: float
 
 
-@dataclass(frozen=True, eq=False)
-class TorqueValidation:
-    """The verdict of a run that the identification did not use, all predictions on the same rows in the same band.
-
-    Attributes:
-        torques: of the run, predicted by the identified parameters.
-        simplest: by a rigid body with Coulomb and viscous friction, fitted to the same rows.
-        files: by the robot's files, elements with their bristles: the result of `check_friction` for these files.
-        assumed_bristles: whether c0 and c1 of any element are assumed: then rows at reversals do not judge the files.
-        tolerances: limits for agreement.
-    """
-
-    torques: RunTorques
-    simplest: RunTorques
-    files: RunTorques
-    assumed_bristles: bool
-    tolerances: ExcitationTolerances
-
-    @property
-    def criteria(self) -> tuple[Criterion, ...]:
-        """Return the criteria of the verdict, by the identified parameters and by the files."""
-        limits = self.tolerances
-        files = self.files
-        words = " by the files"
-        if self.assumed_bristles:
-            files = files.away_from_reversals
-            words = " by the files, away from reversals"
-        ours = torque_criteria(
-            self.torques.names, self.torques.total_share, self.torques.share, limits.total, limits.joint
-        )
-        theirs = torque_criteria(files.names, files.total_share, files.share, limits.total, limits.joint, words)
-        return (*ours, *theirs)
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Return, in words, what the assumed bristles miss at reversals, and what the simplest model does."""
-        remarks = []
-        at_reversals = self.files.at_reversals.total_share
-        if self.assumed_bristles and np.isfinite(at_reversals):
-            remarks.append(f"at reversals, where the assumed c0 and c1 act, {at_reversals:.2%}")
-        remarks.append(f"Coulomb and viscous friction alone {self.simplest.total_share:.2%}")
-        return tuple(remarks)
-
-    @property
-    def passed(self) -> bool:
-        """Return whether each joint that moves, and all of them together, agree with both predictions."""
-        return all(criterion.passed for criterion in self.criteria)
-
-
 def unexplained(runs: Sequence[RunTorques]) -> dict[str, str]:
     """Return, in words by joint, whose torques a model hardly explains, so that their values cannot be trusted.
 
@@ -114,46 +72,149 @@ def unexplained(runs: Sequence[RunTorques]) -> dict[str, str]:
     return texts
 
 
-@dataclass(frozen=True, eq=False)
-class ExcitationIdentification:
-    """An arm's dynamics from excitation runs.
+def objection(validations: Sequence[Validation], alarms: Sequence[str] = ()) -> str:
+    """Return in words what speaks against a friction; "" for nothing."""
+    if not all(check.passed for check in validations):
+        return "the validation does not confirm"
+    return "an alarm stands against" if alarms or any(check.alarms for check in validations) else ""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Identification:
+    """The identified friction of an arm, whatever kind of recordings it comes from.
 
     Attributes:
-        robot: that the runs come from.
-        options: the description of the robot.
-        problem: the equations of the runs.
-        fitted: laws of friction and base parameters, with deviations.
-        elements: of the friction, to simulate with, and the estimates of their parameters.
-        base: linear parameters beside friction.
-        consistency: possible inertias near these.
-        compared: bandwidths in which torques are compared: the motion's, whatever those of the fit are.
-        torques: recorded and predicted, of each run that was used.
-        validations: the same for runs that were not used, with a verdict.
-        bags: the bags by use: excitation, validation.
-        bodies: what each joint moves, by the description and by the robot's files.
+        robot: that the recordings come from.
+        elements: of the friction, in the order of the arm's, to simulate with; and the estimates of their parameters.
+        bags: what was read, by use.
+        validations: comparisons with bags that the identification did not use.
         alarms: what looks wrong in the log or the result, a sentence each: a verdict is "confirmed, but ..." at most.
-        notes: what was bridged in the recordings, and what they cannot determine.
     """
 
     robot: RecordedRobot
-    options: RobotOptions
-    problem: ExcitationProblem
-    fitted: FittedArm
     elements: tuple[IdentifiedElement, ...]
-    base: tuple[BaseParameter, ...]
-    consistency: Consistency
-    compared: Bandwidths
-    torques: tuple[RunTorques, ...]
-    validations: tuple[TorqueValidation, ...]
-    bags: tuple[tuple[str, BagSource], ...]
-    bodies: tuple[MovedBodies, ...]
+    bags: tuple[tuple[str, BagSource], ...] = ()
+    validations: tuple[Validation, ...] = ()
     alarms: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+
+    @property
+    def arm(self) -> RigidArm:
+        """Return the arm, by its description."""
+        return self.robot.arm
 
     @property
     def unit(self) -> str:
         """Return the unit of the torques: Nm, or A without torque constants; all values are in its scale."""
-        return self.problem.runs[0].source.unit
+        return next((bag.unit for _, bag in self.bags), "Nm")
+
+    @property
+    def curves(self) -> dict[str, FrictionCurve]:
+        """Return measured and identified torque against velocity, by element."""
+        return {}
+
+    @property
+    def friction(self) -> FrictionSet:
+        """Return the friction to simulate this project's robot with."""
+        return FrictionSet(self.arm.element_names, tuple(identified.element for identified in self.elements))
+
+    @property
+    def assumed_bristles(self) -> bool:
+        """Return whether c0 or c1 of an element are assumed."""
+        return not all(element.estimates[name].identifiable for element in self.elements for name in PRESLIDING)
+
+    @property
+    def confirmed(self) -> bool:
+        """Return whether every validation agrees, if there is any, and nothing looks wrong."""
+        return not objection(self.validations, self.alarms)
+
+    @property
+    def scope(self) -> str:
+        """Return the scope of a verdict, "54 of 63 values are assumed"; "" where nothing is assumed."""
+        known = [estimate.identifiable for element in self.elements for estimate in element.estimates.values()]
+        assumed = known.count(False)
+        return f"{assumed} of {len(known)} values are assumed" if assumed else ""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FrictionIdentification(Identification):
+    """The friction of an arm from sweeps and micro-oscillations.
+
+    Attributes:
+        sliding: the fit of the sliding regime.
+        presliding: the fit of the presliding regime.
+        truth: the elements that emulated runs were made with, by name; empty where none are known.
+    """
+
+    sliding: SlidingFit
+    presliding: PreslidingFit
+    truth: Mapping[str, FrictionElement] = field(default_factory=dict)
+
+    @property
+    def curves(self) -> dict[str, FrictionCurve]:
+        """Return a point for each stretch of constant velocity, by element."""
+        curves = zip(self.arm.element_names, self.sliding.curves, strict=True)
+        return {name: curve for name, curve in curves if curve is not None}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ExcitationIdentification(Identification):
+    """An arm's dynamics from excitation runs.
+
+    Attributes:
+        problem: the equations of the runs.
+        fitted: laws of friction and base parameters, with deviations.
+        base: linear parameters beside friction.
+        consistency: possible inertias near these.
+        compared: bandwidths in which torques are compared: the motion's, whatever those of the fit are.
+        torques: recorded and predicted, of each run that was used.
+        bodies: what each joint moves, by the description and by the robot's files.
+        notes: what was bridged in the recordings, and what they cannot determine.
+    """
+
+    problem: ExcitationProblem
+    fitted: FittedArm
+    base: tuple[BaseParameter, ...]
+    consistency: Consistency
+    compared: Bandwidths
+    torques: tuple[RunTorques, ...]
+    bodies: tuple[MovedBodies, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def curves(self) -> dict[str, FrictionCurve]:
+        """Return means of the measured torque in bins of velocity, by element.
+
+        The means belong to the joint's own element: its curve plus the mean residual, reversals left out, in bins of
+        each sign with about the same number of samples. An element that several joints share has none.
+        """
+        curves = {}
+        for number, name in enumerate(self.arm.element_names):
+            low, high = self.fitted.speeds[number]
+            if high > 0.0:
+                velocity, residual = self._binned(number, low, high)
+                speed = np.linspace(low, high, _LINE_POINTS)
+                line = np.concatenate([-speed[::-1], speed])
+                fitted = self.fitted.curve(number, velocity)[0]
+                noise = np.zeros_like(velocity)
+                drawn = np.stack([line, *self.fitted.curve(number, line)])
+                curves[name] = FrictionCurve(velocity, fitted + residual, noise, fitted, drawn)
+        return curves
+
+    def _binned(self, number: int, low: float, high: float) -> tuple[Array, Array]:
+        """Return mean velocities, rad/s, and mean residuals, Nm, of the bins of an element."""
+        problem = self.problem
+        joints = np.flatnonzero(self.arm.identified)
+        means = []
+        if number < len(joints):
+            rows = np.flatnonzero((problem.joint == joints[number]) & ~problem.reversal)
+            velocity = problem.velocity[rows, number]
+            for sign in (-1.0, 1.0):
+                side = np.flatnonzero((sign * velocity > low) & (sign * velocity < high))
+                for part in np.array_split(side[np.argsort(velocity[side])], _SPEED_BINS):
+                    if len(part) >= _MIN_BIN_SAMPLES:
+                        means.append((velocity[part].mean(), self.fitted.fit.residual[rows[part]].mean()))
+        table = np.reshape(means, (-1, 2))
+        return table[:, 0], table[:, 1]
 
     @property
     def base_covariance(self) -> Array:
@@ -180,11 +241,13 @@ class ExcitationIdentification:
     @property
     def element_notes(self) -> dict[str, str]:
         """Return the warnings on the friction of single elements, by their names."""
-        arm = self.problem.arm
+        arm = self.arm
         poor = unexplained(self.torques)
         last = [arm.names[np.flatnonzero(row)[-1]] for row in arm.element_matrix]
         notes = {name: poor[joint] for name, joint in zip(arm.element_names, last, strict=True) if joint in poor}
-        return notes | {name: "; ".join(filter(None, (text, notes.get(name)))) for name, text in self._assumed.items()}
+        for name, text in self._assumed.items():
+            notes[name] = f"{text}; {notes[name]}" if name in notes else text
+        return notes
 
     @cached_property
     def _assumed(self) -> dict[str, str]:
@@ -192,7 +255,7 @@ class ExcitationIdentification:
         name = self.robot.fallback_name
         whose = "the least of the others" if name is None else f"that of {name}"
         texts = {}
-        for element, identified in zip(self.problem.arm.element_names, self.elements, strict=True):
+        for element, identified in zip(self.arm.element_names, self.elements, strict=True):
             estimate = identified.estimates["tau_c_positive"]
             if not estimate.identifiable:
                 texts[element] = (
@@ -205,7 +268,7 @@ class ExcitationIdentification:
     def _falling(self) -> list[str]:
         """Return, in words, whose friction falls with speed up to the highest one with data."""
         texts = []
-        names = zip(self.problem.arm.element_names, self.elements, self.fitted.speeds, strict=True)
+        names = zip(self.arm.element_names, self.elements, self.fitted.speeds, strict=True)
         for name, identified, (low, high) in names:
             slow, fast = identified.element.without_parts().steady_torque([low, high]) if high else (0.0, 0.0)
             if fast < slow:
@@ -214,11 +277,6 @@ class ExcitationIdentification:
                     f"{high:.2g} rad/s, the highest speed of these runs"
                 )
         return texts
-
-    @property
-    def confirmed(self) -> bool:
-        """Return whether every validation agrees, if there is any, and nothing looks wrong."""
-        return all(check.passed for check in self.validations) and not self.alarms
 
 
 def base_parameters(

@@ -22,11 +22,12 @@ from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import counted, plain, quoted
 from rx90_common.base.share import resolve_config
 from rx90_common.description.drives import DriveParameters
+from rx90_common.description.joint_model import movable_joints
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.topics import MOTOR_STATES, motor_names
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile, refuse_parts
-from rx90_emulator.identification.arm import RigidArm, movable_joints
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.options import SHIPPED_ROBOT, MeasuredLayout, RobotOptions
 from rx90_emulator.loop.setup import Setup
 
@@ -52,6 +53,7 @@ class BagLayout:
         zero: recorded joint angle in the zero pose of the URDF, rad, shape (n,); None for 0.
         mapping: the columns of a table, if the file beside it does not state them.
         followed: further joints, by their names in the messages and in the record: positions alone, joint side.
+        torque_delay: by how much the torques acted later than their stamps say, s.
     """
 
     topic: str
@@ -63,26 +65,28 @@ class BagLayout:
     zero: Array | None = None
     mapping: LogMapping | None = None
     followed: tuple[str, ...] = ()
+    torque_delay: float = 0.0
 
     def __post_init__(self) -> None:
         twice = [name for name in self.messages if self.messages.count(name) > 1]
         if twice:
-            found = f"name {quoted(twice[0])} in the messages for two joints"
-            raise IdentificationError(f"{found}; accepted: each name once")
+            raise IdentificationError(
+                f"name {quoted(twice[0])} in the messages for two joints; accepted: each name once"
+            )
         if self.turns is not None and abs(np.linalg.det(self.turns)) < 1e-9:
             raise IdentificationError(f"gears times coupling: {self.turns.tolist()}; accepted: an invertible matrix")
 
     def joint_side(self, fields: Mapping[str, Array]) -> dict[str, Array]:
         """Return position, rad, velocity, rad/s, and effort, Nm, of the joints, as far as the messages contain them."""
-        found = dict(fields)
-        if self.torque_constant is not None and "effort" in found:
-            found["effort"] = found["effort"] * self.torque_constant
+        values = dict(fields)
+        if self.torque_constant is not None and "effort" in values:
+            values["effort"] = values["effort"] * self.torque_constant
         if self.turns is not None:
             inverse = np.linalg.inv(self.turns).T
-            found = {field: v @ (self.turns if field == "effort" else inverse) for field, v in found.items()}
+            values = {name: column @ (self.turns if name == "effort" else inverse) for name, column in values.items()}
         if self.zero is not None:
-            found["position"] = found["position"] - self.zero
-        return found
+            values["position"] = values["position"] - self.zero
+        return values
 
 
 def with_signals(options: Options, logs: Sequence[Path]) -> tuple[Options, LogMapping | None]:
@@ -94,10 +98,10 @@ def with_signals(options: Options, logs: Sequence[Path]) -> tuple[Options, LogMa
     """
     given = None if options.signals is None else LogMapping.load(Path(options.signals))
     maps = [mapping_of(log) for log in logs if is_table(log)] if given is None else [given]
-    for one in maps[1:]:
-        if one.messages != maps[0].messages:
+    for further in maps[1:]:
+        if further.messages != maps[0].messages:
             raise ConfigError(
-                f"{plain(one.path)} says other things of the arm than {plain(maps[0].path)}; accepted: the same "
+                f"{plain(further.path)} says other things of the arm than {plain(maps[0].path)}; accepted: the same "
                 f"{', '.join(MESSAGE_KEYS)}"
             )
     mapped = maps[0].messages if maps else {}
@@ -113,16 +117,17 @@ def _option(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def _check_sizes(options: MessageOptions, n: int) -> None:
-    """Refuse options with another size than for n joints, and numbers that are not finite."""
+def _check_sizes(options: MessageOptions, joints: int) -> None:
+    """Refuse options with another size than for the joints, and numbers that are not finite."""
     for name in (*_ONE_EACH, "coupling"):
         values = getattr(options, name, None)
-        size = n * n if name == "coupling" else n
-        if values is not None and len(values) != size:
-            raise IdentificationError(
-                f"{_option(name)}: {counted(len(values), 'value')}; accepted: {size} for {counted(n, 'joint')}"
-            )
-        if values is not None and name != "names" and not np.isfinite(values).all():
+        size = joints**2 if name == "coupling" else joints
+        if values is None:
+            continue
+        if len(values) != size:
+            given = counted(len(values), "value")
+            raise IdentificationError(f"{_option(name)}: {given}; accepted: {size} for {counted(joints, 'joint')}")
+        if name != "names" and not np.isfinite(values).all():
             raise IdentificationError(f"{_option(name)}: {list(values)}; accepted: finite numbers")
 
 
@@ -143,25 +148,28 @@ def arm_layout(
         mapping: the columns of a table.
     """
     n = len(joints)
-    own = own_drives is not None
     _check_sizes(options, n)
-    motors = own and topic.rpartition("/")[2] == MOTOR_STATES
-    gear = own_drives().gear if own_drives is not None and motors and options.gear is None else _array(options.gear)
-    if own and gear is None and options.coupling is not None:
-        raise IdentificationError("coupling without gears; accepted: for the motors' states, with their --gear")
-    turns = None
-    if gear is not None:
-        usual = np.eye(n) if own_drives is None else own_drives().turning.turns
-        turns = gear[:, None] * (usual if options.coupling is None else np.reshape(options.coupling, (n, n)))
+    motors = own_drives is not None and topic.rpartition("/")[2] == MOTOR_STATES
+    gear = _array(options.gear)
+    usual = np.eye(n)
+    if own_drives is not None:
+        if motors and gear is None:
+            gear = own_drives().gear
+        if gear is not None:
+            usual = own_drives().turning.turns
+        elif options.coupling is not None:
+            raise IdentificationError("coupling without gears; accepted: for the motors' states, with their --gear")
+    coupling = usual if options.coupling is None else np.reshape(options.coupling, (n, n))
     return BagLayout(
-        topic,
-        tuple(options.names or (motor_names(n) if motors else joints)),
-        tuple(joints),
-        turns,
-        _array(options.torque_constant),
-        options.record_time,
-        _array(options.zero),
-        mapping,
+        topic=topic,
+        messages=tuple(options.names or (motor_names(n) if motors else joints)),
+        names=tuple(joints),
+        turns=None if gear is None else gear[:, None] * coupling,
+        torque_constant=_array(options.torque_constant),
+        record_time=options.record_time,
+        zero=_array(options.zero),
+        mapping=mapping,
+        torque_delay=options.torque_delay if isinstance(options, RobotOptions) else 0.0,
     )
 
 
@@ -172,13 +180,13 @@ def _array(values: Sequence[float] | None) -> Array | None:
 def topic_names(bag: Path, mapping: LogMapping | None = None) -> set[str]:
     """Return the absolute names of the topics of a bag or a table, without reading the table."""
     if is_table(bag):
-        return set(map(absolute, mapping_of(bag, mapping).by_topic))
+        return {absolute(mapping_of(bag, mapping).table_topic)}
     with BagReader(bag) as reader:
         return {topic.name for topic in reader.topics}
 
 
 def recorded_topic(bag: Path, topics: Sequence[str], mapping: LogMapping | None = None) -> str:
-    """Return the first of this project's topics that a bag has; the topic of a table that has a single one.
+    """Return the first of this project's topics that a bag has; or that of a table.
 
     Args:
         bag: the bag or table.
@@ -186,36 +194,39 @@ def recorded_topic(bag: Path, topics: Sequence[str], mapping: LogMapping | None 
         mapping: the columns of a table.
     """
     there = topic_names(bag, mapping)
-    if is_table(bag) and len(there) == 1:
+    if is_table(bag):
         return there.pop()
     for topic in topics:
         if absolute(topic) in there:
             return topic
-    what = f"neither {MOTOR_STATES} nor {JOINT_STATES}" if len(topics) > 1 else f"no topic {plain(topics[0])}"
-    raise IdentificationError(f"{bag}: {what}; there are {', '.join(sorted(there)) or 'no topics'}; accepted: --topic")
+    missing = f"neither {MOTOR_STATES} nor {JOINT_STATES}" if len(topics) > 1 else f"no topic {plain(topics[0])}"
+    raise IdentificationError(
+        f"{bag}: {missing}; there are {', '.join(sorted(there)) or 'no topics'}; accepted: --topic"
+    )
 
 
 def message_names(log: Path, topic: str, mapping: LogMapping | None = None) -> tuple[str, ...]:
-    """Return the names in the first message of a JointState topic of a bag, or those of a table's topic."""
+    """Return the names in the first message of a JointState topic of a bag, or those of a table."""
     if is_table(log):
-        topics = mapping_of(log, mapping).by_topic.items()
-        return next((one.names or () for name, one in topics if absolute(name) == absolute(topic)), ())
+        return mapping_of(log, mapping).names or ()
     with BagReader(log) as reader:
-        there = [one for one in reader.topics if one.name == absolute(topic) and one.is_joint_state]
+        there = [entry for entry in reader.topics if entry.name == absolute(topic) and entry.is_joint_state]
         first = next(reader.messages(there), None) if there else None
         return () if first is None else tuple(str(name) for name in reader.deserialize(first[0], first[2]).name)
 
 
 def _of_joints(options: RobotOptions) -> RobotOptions:
     """Return options for the joints of interest alone, if a map states names, gears and so on of more joints."""
-    names = options.names
+    names = list(options.names or ())
     joints = options.joints
-    if names is None or joints is None or len(names) <= len(joints) or not set(joints) <= set(names):
+    if joints is None or len(names) <= len(joints) or not set(joints) <= set(names):
         return options
-    place = [list(names).index(joint) for joint in joints]
-    given: dict[str, Any] = {key: getattr(options, key) for key in ("names", "gear", "torque_constant", "zero")}
-    fits = {key: values for key, values in given.items() if values is not None and len(values) == len(names)}
-    chosen: dict[str, Any] = {key: [values[k] for k in place] for key, values in fits.items()}
+    place = [names.index(joint) for joint in joints]
+    chosen: dict[str, Any] = {}
+    for key in ("names", "gear", "torque_constant", "zero"):
+        values = getattr(options, key)
+        if values is not None and len(values) == len(names):
+            chosen[key] = [values[k] for k in place]
     return replace(options, **chosen)
 
 
@@ -223,17 +234,15 @@ def _followed(
     urdf: Path, arm: RigidArm, options: RobotOptions, logs: Sequence[Path], mapping: LogMapping | None
 ) -> tuple[str, ...]:
     """Return the joints that all logs contain besides an arm's, and whose motion affects it."""
-    if not logs:
-        return ()
     topic = options.topic or JOINT_STATES
-    known = [set(message_names(log, recorded_topic(log, (topic,), mapping) if is_table(log) else topic, mapping))
-             for log in logs]  # fmt: skip
-    there = set.intersection(*known) - set(arm.names) - set(options.names or ())
-    others = [name for name in movable_joints(urdf) if name in there]
+    there = set(movable_joints(urdf)) if logs else set()
+    for log in logs:
+        there &= set(message_names(log, recorded_topic(log, (topic,), mapping) if is_table(log) else topic, mapping))
+    others = there - {*arm.names, *(options.names or ())}
     if not others:
         return ()
-    all_joints = RigidArm.from_urdf(urdf, options.joints, massless=True, followed=others)
-    return tuple(name for name in all_joints.related() if name in others)
+    everything = RigidArm.from_urdf(urdf, options.joints, massless=True, followed=sorted(others))
+    return tuple(name for name in everything.related() if name in others)
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,8 +253,8 @@ class RecordedRobot:
         arm: rigid-body model and friction elements.
         setup: for the closed loop; None for another robot than this project's.
         options: deviations of the messages from this project's conventions, signal maps included.
-        fallback: elements whose values replace parameters that are not identifiable, bristles of another kind with
-            their c0, and whose omega_d is used; None to refuse bags that do not determine all parameters.
+        fallback: elements whose values replace parameters that are not identifiable, and whose omega_d is used; None
+            to assume them.
         fallback_name: their file.
         mapping: the columns of tables, if the files beside them do not state them.
         held: joints in the logs without a known gear, so that their motion is not known: they are fixed at 0.
@@ -273,49 +282,38 @@ class RecordedRobot:
                 carried by them, follow the logs instead of being fixed at 0.
         """
         options, mapping = with_signals(options, logs)
-        own = options.urdf is None
-        for name in ("joints", "rotor_inertia", "spring") if own else ("robot", "tool", "drives"):
+        ours = options.urdf is None
+        for name in ("joints", "rotor_inertia", "spring") if ours else ("robot", "tool", "drives"):
             if getattr(options, name) is not None:
-                with_urdf = "without --urdf; accepted: with --urdf of another robot"
-                what = with_urdf if own else "with --urdf; accepted: for this project's robot alone"
-                raise IdentificationError(f"{_option(name)} {what}")
-        held = tuple[str, ...]()
+                accepted = "with --urdf of another robot" if ours else "for this project's robot alone"
+                how = "without" if ours else "with"
+                raise IdentificationError(f"{_option(name)} {how} --urdf; accepted: {accepted}")
         if options.urdf is None:
             files = RobotFiles.of_options(options)
             setup = Setup.load(files)
             arm = RigidArm.from_setup(setup)
-            fallback_name = options.fallback or files.text("friction")
             _check_sizes(options, len(arm.names))
-        else:
-            setup = None
-            fallback_name = options.fallback or "none"
-            file = Path(options.urdf)
-            options = _of_joints(options)
-            arm = RigidArm.from_urdf(file, options.joints, massless=massless)
-            arm_layout(options.topic or JOINT_STATES, arm.names, options)  # refused before any bag is read
-            coupling = None if options.coupling is None else np.reshape(options.coupling, arm.coupling.shape)
-            more = coupling, options.rotor_inertia, options.spring
-            followed = _followed(file, arm, options, logs, mapping) if follow else ()
-            if options.gear is not None:
-                held = followed
-                followed = ()
-            arm = RigidArm.from_urdf(file, options.joints, *more, massless=massless, followed=followed)
-        if fallback_name == "none":
-            return cls(arm, setup, options, mapping=mapping, held=held)
-        path = resolve_config(fallback_name)
-        fallback = FrictionFile.read(path).select(arm.element_names, path)
-        named = dict(zip(arm.element_names, fallback, strict=True))
-        what = "an identification with it as --fallback"
-        refuse_parts(named, what, f"{fallback_name}: elements.", held=("bristles",))
-        return cls(arm, setup, options, fallback, fallback_name, mapping, held)
+            return _with_fallback(cls(arm, setup, options, mapping=mapping), options.fallback or files.text("friction"))
+        urdf = Path(options.urdf)
+        options = _of_joints(options)
+        arm = RigidArm.from_urdf(urdf, options.joints, massless=massless)
+        arm_layout(options.topic or JOINT_STATES, arm.names, options)  # refused before any bag is read
+        others = _followed(urdf, arm, options, logs, mapping) if follow else ()
+        # The gears of joints that follow are not known.
+        followed = others if options.gear is None else ()
+        held = () if options.gear is None else others
+        coupling = None if options.coupling is None else np.reshape(options.coupling, arm.coupling.shape)
+        drives = (coupling, options.rotor_inertia, options.spring)
+        arm = RigidArm.from_urdf(urdf, options.joints, *drives, massless=massless, followed=followed)
+        return _with_fallback(cls(arm, None, options, mapping=mapping, held=held), options.fallback or "none")
 
     @property
     def zero(self) -> Array | None:
         """Return the recorded angle of each joint in the zero pose of its URDF, rad, shape (n,); None for 0."""
         given = _array(self.options.zero)
-        zero = np.zeros(len(self.arm.names))
         if given is None:
             return None
+        zero = np.zeros(len(self.arm.names))
         zero[self.arm.identified] = given
         return zero
 
@@ -336,9 +334,21 @@ class RecordedRobot:
         if setup is None:
             topic = topic or JOINT_STATES
             topic = recorded_topic(bag, (topic,), self.mapping) if is_table(bag) else topic
-            own = np.array(self.arm.names)[self.arm.identified].tolist()
-            return replace(arm_layout(topic, own, self.options, None, self.mapping), followed=self.followed)
+            joints = np.array(self.arm.names)[self.arm.identified].tolist()
+            return replace(arm_layout(topic, joints, self.options, None, self.mapping), followed=self.followed)
         check_robot(bag, setup.robot.model.name)
         topics = (MOTOR_STATES, JOINT_STATES) if fast else (JOINT_STATES, MOTOR_STATES)
         topic = topic or recorded_topic(bag, topics, self.mapping)
         return arm_layout(topic, self.arm.names, self.options, lambda: setup.drives, self.mapping)
+
+
+def _with_fallback(robot: RecordedRobot, name: str) -> RecordedRobot:
+    """Return a robot with the elements of a friction file, or of none."""
+    if name == "none":
+        return robot
+    path = resolve_config(name)
+    elements = robot.arm.element_names
+    fallback = FrictionFile.read(path).select(elements, path)
+    named = dict(zip(elements, fallback, strict=True))
+    refuse_parts(named, "an identification with it as --fallback", f"{name}: elements.")
+    return replace(robot, fallback=fallback, fallback_name=name)

@@ -29,6 +29,7 @@ from rx90_common.base.quoting import listed
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.options import SHIPPED_ROBOT, RobotOptions
 from rx90_emulator.identification.records import JointRecord, block_means, moving
+from rx90_emulator.identification.rows.rigid import StandardColumns
 
 _BAND_HZ = 5.0  # of the low-pass of motion and torque: arms move below it
 _MOST_INSTANTS = 500  # evenly spread over all runs
@@ -164,20 +165,15 @@ class _SimplestModel:
 
     def __init__(self, arm: RigidArm, motion: Array, used: Mask, size: Array) -> None:
         row, joint = np.nonzero(used)
-        n = len(arm.names)
-        turns = arm.coupling
         self._used = used
         self._weight = 1.0 / size[joint]
-        links = arm.regressor(*motion)
-        rotors = (motion[2] @ turns.T)[:, None, :] * turns.T
-        springs = np.sin(motion[0])[:, :, None] * np.eye(n)[:, arm.spring != 0.0]
-        offsets = np.broadcast_to(np.eye(n), (len(used), n, n))
-        rigid = np.concatenate([links, rotors, springs, offsets], axis=2)[used] * self._weight[:, None]
+        rigid = StandardColumns(arm).torque(*motion)[used] * self._weight[:, None]
         length = np.linalg.norm(rigid, axis=0)
         directions, share, _ = np.linalg.svd(rigid[:, length > 0.0] / length[length > 0.0], full_matrices=False)
         self._basis = directions[:, share > 1e-6 * share[0]]
         velocity = motion[1] @ arm.element_matrix.T
-        friction = np.hstack([np.sign(velocity), velocity])[row] * np.tile(arm.element_matrix.T, 2)[joint]
+        shares = np.tile(arm.element_matrix.T, 2)
+        friction = np.hstack([np.sign(velocity), velocity])[row] * shares[joint]
         self._dry = self._beside(friction * self._weight[:, None])
 
     @property
@@ -228,7 +224,11 @@ class _Trials:
         mistakes = [*(Mistake("delay of the torques", delay=float(lag)) for lag in delays), *_mistakes(joints)]
         trials = [(mistake, *self._without(mistake)) for mistake in mistakes]
         # Of mistakes that explain it equally well, the first.
-        best = min(trials, key=lambda trial: round(float(np.log(self._errors(trial[-1])).mean()), 3), default=None)
+
+        def unlikelihood(trial: tuple[Mistake, Array, Array, _SimplestModel, Array]) -> float:
+            return round(float(np.log(self._errors(trial[-1])).mean()), 3)
+
+        best = min(trials, key=unlikelihood, default=None)
         if best is None or not self._clear(best[-1]):
             return None
         mistake, self._motion, self._torques, self.model, self.residual = best
@@ -326,7 +326,7 @@ def mistake_alarms(
         if any(mistake.swapped):
             accepted.append("names or columns of these two in the other order")
         if mistake.delay:
-            accepted.append("stamps of the time when the torques acted")
+            accepted.append(f"torque_delay: {options.torque_delay - mistake.delay:.3g} in the signal map")
     if any(mistake.motion < 0.0 for mistake in mistakes):
         accepted.append(_option("gear", gear))
     if any(mistake.motion * mistake.effort < 0.0 for mistake in mistakes):
@@ -389,10 +389,11 @@ def moved_bodies(described: RigidArm, result: RigidArm) -> tuple[MovedBodies, ..
     """Return what each joint moves by the description and by the result."""
     before = _moved(described)
     after = _moved(result)
-    return tuple(
-        MovedBodies(name, *((float(before[row, joint]), float(after[row, joint])) for row in range(3)))
-        for joint, name in enumerate(described.names)
-    )
+    moved = []
+    for joint, name in enumerate(described.names):
+        mass, moment, inertia = zip(before[:, joint].tolist(), after[:, joint].tolist(), strict=True)
+        moved.append(MovedBodies(name, mass, moment, inertia))
+    return tuple(moved)
 
 
 def _moved(arm: RigidArm) -> Array:
@@ -414,8 +415,10 @@ _MASS_RATIO = 4.0  # of what a joint moves by the result to the described
 
 def body_alarms(bodies: Sequence[MovedBodies]) -> tuple[str, ...]:
     """Return in a sentence that most joints move far more, or far less, than described; a payload is at the last."""
-    ratios = np.array([moved.mass[1] / moved.mass[0] if moved.mass[0] > 0.0 else 1.0 for moved in bodies])
-    for far in (ratios > _MASS_RATIO, ratios < 1.0 / _MASS_RATIO):
+    before, after = np.array([moved.mass for moved in bodies]).T
+    ratios = np.where(before > 0.0, after / np.where(before > 0.0, before, 1.0), 1.0)
+    payload = ", or, where all joints move as much more, its payload in the description"
+    for far, also in ((ratios > _MASS_RATIO, payload), (ratios < 1.0 / _MASS_RATIO, "")):
         if 2 * np.count_nonzero(far) > len(bodies):
             masses = [
                 f"{moved.joint} {moved.mass[1]:.3g} kg ({moved.mass[0]:.3g} kg described)"
@@ -424,7 +427,7 @@ def body_alarms(bodies: Sequence[MovedBodies]) -> tuple[str, ...]:
             ]
             return (
                 f"the bodies of the result are not the described ones: {', '.join(masses)}; accepted: gears, units and "
-                "torque constants with which they agree, or a description of this arm",
+                f"torque constants with which they agree, or a description of this arm{also}",
             )
     return ()
 

@@ -5,25 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.estimation.choose import choose
 from rx90_common.estimation.deviations import Deviations, deviations
 from rx90_common.estimation.elements import SteadyRows, fit_laws, fitted_values, places
 from rx90_common.estimation.fit import Fit
-from rx90_common.estimation.law import Law, Part
+from rx90_common.estimation.law import Law, Part, Speeds
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import (
     NOT_IN_MODEL,
     SLIDING,
     VISCOUS_EXPONENT,
     ElementEstimate,
+    FrictionCurve,
     ParameterEstimate,
-    digits,
 )
 from rx90_emulator.identification.options import SLIDING_PARTS, model_parts
 from rx90_emulator.identification.records import BagSource, JointRecord
@@ -37,87 +36,8 @@ degree of freedom."""
 _SAME_SPEED_RATIO = 1.1  # of speeds, up to which they count as one
 _MOST_DIFFERENCE = 0.1  # deviation of the difference of two Coulomb torques, over their sum, that tells both
 _MAX_RELATIVE_SD = 0.3  # relative standard deviation up to which a parameter is identifiable
-_BANDS = 6  # of speed, of equal logarithmic width, by which residuals are reported
 _LINE_POINTS = 100
 _DOES_NOT_SLIDE = "does not slide at constant velocity; accepted: sweeps in both directions"
-
-
-@dataclass(frozen=True, eq=False)
-class CurvePoints:
-    """Measured and fitted friction torque of one element, a point for each row of a plateau.
-
-    Attributes:
-        velocity: rad/s, shape (p,).
-        torque: measured torque less the rigid arm's and the other elements', Nm, shape (p,).
-        deviation: standard deviation of its noise, Nm, shape (p,).
-        fitted: torque by the identified parameters, Nm, shape (p,).
-        time: in the series, s, shape (p,).
-        line: the identified curve over the measured speeds, in either direction: velocity, torque, and the standard
-            deviation of the torque due to the parameters, shape (3, k).
-    """
-
-    velocity: Array
-    torque: Array
-    deviation: Array
-    fitted: Array
-    time: Array
-    line: Array
-
-
-@dataclass(frozen=True, eq=False)
-class FitQuality:
-    """Goodness of fit of one element's curve.
-
-    Attributes:
-        rms: of the plateaus' residual torque, Nm.
-        friction: RMS friction torque, Nm.
-        chi2: mean square of the residuals over what the samples' noise leaves; 1 for noise alone.
-        bands: slowest and fastest speed, rad/s, mean residual along the motion, Nm; shape (k, 3).
-    """
-
-    rms: float
-    friction: float
-    chi2: float
-    bands: Array
-
-    @classmethod
-    def of(cls, curve: CurvePoints) -> FitQuality:
-        """Return the figures of one element with one plateau or more."""
-        residual = curve.torque - curve.fitted
-        speed = np.abs(curve.velocity)
-        along = np.sign(curve.velocity) * residual
-        edges = np.geomspace(speed.min(), speed.max(), _BANDS + 1)
-        band = np.searchsorted(edges[1:-1], speed)
-        rows = [band == k for k in np.unique(band).tolist()]
-        return cls(
-            rms=float(np.sqrt(np.mean(residual**2))),
-            friction=float(np.sqrt(np.mean(curve.torque**2))),
-            chi2=float(np.mean((residual / np.maximum(curve.deviation, 1e-12)) ** 2)),
-            bands=np.array([(speed[row].min(), speed[row].max(), along[row].mean()) for row in rows]),
-        )
-
-    @property
-    def share(self) -> float:
-        """Return the residual torque over the friction torque, RMS; NaN without friction."""
-        return self.rms / self.friction if self.friction > 0.0 else math.nan
-
-    def text(self, name: str) -> str:
-        """Return a line for an element."""
-        by_speed = ", ".join(f"{low:.3g}-{high:.3g}: {mean:+.2g}" for low, high, mean in self.bands.tolist())
-        return (
-            f"fit of {name}: residual {self.rms:.3g} Nm RMS, {self.share:.2%} of its friction, chi2 {self.chi2:.3g}; "
-            f"by speed, Nm at rad/s: {by_speed}"
-        )
-
-    @property
-    def content(self) -> dict[str, Any]:
-        """Return the figures as plain data, to four digits."""
-        return {
-            "rms": digits(self.rms, 4),
-            "share": digits(self.share, 4),
-            "chi2": digits(self.chi2, 4),
-            "residual_by_speed": [[digits(value, 4) for value in band] for band in self.bands.tolist()],
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,21 +53,16 @@ class SlidingFit:
         inertial_covariance: its covariance, the prior's along directions that sweeps do not observe, (10 n, 10 n).
         plateaus: number of stretches of constant velocity that were used.
         usage: what was used of each record, and why the rest was not.
-        doubt: which sign or zero looks wrong, in words; empty if none does.
+        alarms: which sign or zero looks wrong, a sentence each.
     """
 
     estimates: tuple[ElementEstimate, ...]
-    curves: tuple[CurvePoints | None, ...]
+    curves: tuple[FrictionCurve | None, ...]
     inertial: Array
     inertial_covariance: Array
     plateaus: int
     usage: tuple[BagUse, ...] = ()
-    doubt: str = ""
-
-    @property
-    def quality(self) -> tuple[FitQuality | None, ...]:
-        """Return the goodness of fit of each element; None where it could not be identified."""
-        return tuple(None if curve is None else FitQuality.of(curve) for curve in self.curves)
+    alarms: tuple[str, ...] = ()
 
 
 def identify_sliding(
@@ -175,23 +90,23 @@ def identify_sliding(
         raise IdentificationError(f"{where}: {name} {lacking[name]}")
     used = ~(~blocks.sliding[blocks.plateau] @ (arm.element_matrix != 0.0)) & arm.identified
     alarms = mistake_alarms(arm, Recorded(blocks.motion, blocks.torque, used, blocks.plateau), zero=zero)
-    doubt = "; ".join(alarms)
     rows = sweep_rows(blocks, arm, known)
     parts = None if model is None else model_parts(model, SLIDING_PARTS)
     shared = [int(e) >= len(arm.names) for e in known]
     many = min(min(_speeds(blocks.velocity[blocks.sliding[:, e], e])) for e in known) > MIN_SPEEDS
-    laws, result = _chosen(rows, shared, curved=many) if parts is None else _given(rows, shared, parts)
+    laws, result = _laws(rows, shared, parts, curved=many)
     if not many:  # of few rows, those that lie far out are needed to tell the parameters apart
         result = fit_laws(rows.friction, laws, result.weight, fitted_values(laws, result.x))
     spread = deviations(result)
-    untold = [_untold(law, result.x[place], spread, place) for law, place in zip(laws, places(laws), strict=True)]
+    where_of = zip(laws, places(laws), strict=True)
+    untold = [_untold(law, result.x[place], spread, place) for law, place in where_of]
     if any(untold):
         laws = [replace(law, balanced=law.balanced or alone) for law, alone in zip(laws, untold, strict=True)]
         result = fit_laws(rows.friction, laws, result.weight)
         spread = deviations(result)
     sources = tuple(record.bag for record in records)
     estimates = [ElementEstimate.unknown(name, SLIDING, lacking.get(name, ""), sources) for name in names]
-    curves: list[CurvePoints | None] = [None] * len(names)
+    curves: list[FrictionCurve | None] = [None] * len(names)
     for k, e in enumerate(known.tolist()):
         place = places(laws)[k]
         law = laws[k]
@@ -200,15 +115,15 @@ def identify_sliding(
                 f"{where}: {names[e]}: the torque does not oppose the motion; accepted: efforts of the sign with which "
                 "the drive moves the joint (check the signs of gears and torque constants)"
             )
-            raise IdentificationError("; ".join(filter(None, (error, doubt))))
-        element = _Element(names[e], law, result.x[place], place, spread)
+            raise IdentificationError("; ".join((error, *alarms)))
+        element = _Element(names[e], law, result.x[place], spread.covariance[place, place], spread.determined[place])
         estimates[e] = element.estimate(rows.friction.elements[k].speeds, parts, sources)
-        curves[e] = _curve(element, rows, k, result, blocks.time)
+        curves[e] = element.curve(rows, k, result)
     scale = arm.inertial_scale()
     first = len(result.x)
     covariance = spread.covariance[first:, first:] * np.outer(scale, scale)
     count = len(np.unique(rows.plateau))
-    return SlidingFit(tuple(estimates), tuple(curves), scale * result.linear, covariance, count, usage, doubt)
+    return SlidingFit(tuple(estimates), tuple(curves), scale * result.linear, covariance, count, usage, alarms)
 
 
 def _lacking(blocks: Blocks, names: Sequence[str]) -> dict[str, str]:
@@ -223,13 +138,12 @@ def _lacking(blocks: Blocks, names: Sequence[str]) -> dict[str, str]:
             lacking[name] = f"slides at {only} velocities only; accepted: sweeps in both directions"
         elif min(up, down) < MIN_SPEEDS:
             lacking[name] = (
-                f"slides at {up} speeds in positive and {down} in negative direction; accepted: {MIN_SPEEDS} or "
-                "more in each"
+                f"slides at {up} speeds in positive and {down} in negative direction; accepted: {MIN_SPEEDS} or more"
             )
     return lacking
 
 
-def _speeds(velocity: Array) -> tuple[int, int]:
+def _speeds(velocity: Array) -> list[int]:
     """Return how many distinct speeds there are in positive and in negative direction."""
     counts = []
     for sign in (1.0, -1.0):
@@ -238,25 +152,22 @@ def _speeds(velocity: Array) -> tuple[int, int]:
             if speed > _SAME_SPEED_RATIO * distinct[-1]:
                 distinct.append(speed)
         counts.append(len(distinct) - 1)
-    return counts[0], counts[1]
+    return counts
 
 
-def _chosen(rows: SweepRows, shared: Sequence[bool], *, curved: bool) -> tuple[list[Law], Fit]:
-    """Return the laws that the rows support, by held-out plateaus, and their fit; with exponents if `curved`."""
+def _laws(
+    rows: SweepRows, shared: Sequence[bool], parts: Sequence[str] | None, *, curved: bool
+) -> tuple[list[Law], Fit]:
+    """Return the laws that the rows support by held-out plateaus, with exponents if `curved`, or the given ones."""
     plain = [Law(signed=True, balanced=balanced) for balanced in shared]
-    rising = choose(rows.friction, [Part.STRIBECK], plain)
+    if parts is not None:
+        asked = frozenset(part for part in (Part.STRIBECK, Part.EXPONENT) if part.value in parts)
+        laws = [_shaped(replace(law, parts=asked)) for law in plain]
+        return laws, fit_laws(rows.friction, laws)
     # With a rise its exponent is free, so that its uncertainty counts in the other parameters.
-    laws = [_shaped(law) for law in rising.laws]
-    parts = [Part.EXPONENT] if curved else []
-    chosen = choose(rows.friction, parts, laws)
+    rising = [_shaped(law) for law in choose(rows.friction, [Part.STRIBECK], plain).laws]
+    chosen = choose(rows.friction, [Part.EXPONENT] if curved else [], rising)
     return list(chosen.laws), chosen.fit
-
-
-def _given(rows: SweepRows, shared: Sequence[bool], parts: Sequence[str]) -> tuple[list[Law], Fit]:
-    """Return the laws with some parts for all elements, and their fit."""
-    chosen = frozenset(part for part in (Part.STRIBECK, Part.EXPONENT) if part.value in parts)
-    laws = [_shaped(Law(chosen, signed=True, balanced=balanced)) for balanced in shared]
-    return laws, fit_laws(rows.friction, laws)
 
 
 def _untold(law: Law, x: Array, spread: Deviations, place: slice) -> bool:
@@ -275,64 +186,55 @@ def _shaped(law: Law) -> Law:
 
 @dataclass(frozen=True, eq=False)
 class _Element:
-    """One element of the fit: its law, its fitted parameters x, and their place among all."""
+    """One element of the fit: its law, its fitted parameters x with their covariance, and which are determined."""
 
     name: str
     law: Law
     x: Array
-    place: slice
-    spread: Deviations
+    covariance: Array
+    determined: Mask
 
-    @property
-    def covariance(self) -> Array:
-        """Return the covariance of the fitted parameters, shape (k, k)."""
-        return self.spread.covariance[self.place, self.place]
-
-    def estimate(
-        self, speeds: tuple[float, float, float], parts: Sequence[str] | None, sources: tuple[BagSource, ...]
-    ) -> ElementEstimate:
-        """Return the estimates, given the speeds with data, rad/s, and the parts that were asked for, if any."""
+    def estimate(self, speeds: Speeds, parts: Sequence[str] | None, sources: tuple[BagSource, ...]) -> ElementEstimate:
+        """Return the estimates, given the speeds with data, and the parts that were asked for, if any."""
         values, slopes = self.law.natural(self.x)
-        determined = self.spread.determined[self.place]
-        order = [*SLIDING, VISCOUS_EXPONENT] if VISCOUS_EXPONENT in values else list(SLIDING)
-        slopes = np.array([slopes[list(values).index(name)] if name in values else 0.0 * self.x for name in order])
-        covariance = slopes @ self.covariance @ slopes.T
+        deviations_of = np.sqrt(np.diag(slopes @ self.covariance @ slopes.T)).tolist()
+        spread = dict(zip(values, deviations_of, strict=True))
+        told = (slopes[:, ~self.determined] == 0.0).all(axis=1)
+        known = dict(zip(values, told.tolist(), strict=True))
+        absent = f"no Stribeck effect shows at speeds from {speeds.low:.3g} to {speeds.high:.3g} rad/s"
+        if parts is not None and Part.STRIBECK.value not in parts:
+            absent = NOT_IN_MODEL
         estimates = {}
-        for k, name in enumerate(order):
-            deviation = math.sqrt(covariance[k, k])
-            reason = ""
-            if name not in values:
-                low, high = speeds[:2]
-                reason = f"no Stribeck effect shows at speeds from {low:.3g} to {high:.3g} rad/s"
-                if parts is not None and "stribeck-rise" not in parts:
-                    reason = NOT_IN_MODEL
-            elif not determined[slopes[k] != 0.0].all():
-                reason = f"at a bound of its range, or not separable from other parameters: {values[name]:.3g}"
-            elif deviation > _MAX_RELATIVE_SD * abs(values[name]):
-                reason = f"standard deviation {deviation:.3g} at a value of {values[name]:.3g}"
-            estimates[name] = (
-                ParameterEstimate.unknown(reason) if reason else ParameterEstimate(values[name], deviation)
-            )
-        return ElementEstimate.of(self.name, estimates, covariance, sources)
+        for name in (*SLIDING, VISCOUS_EXPONENT):
+            if name in values:
+                value = values[name]
+                reason = ""
+                if not known[name]:
+                    reason = f"at a bound of its range, or not separable from other parameters: {value:.3g}"
+                elif spread[name] > _MAX_RELATIVE_SD * abs(value):
+                    reason = f"standard deviation {spread[name]:.3g} at a value of {value:.3g}"
+                estimate = ParameterEstimate(value, spread[name])
+                estimates[name] = ParameterEstimate.unknown(reason) if reason else estimate
+            elif name != VISCOUS_EXPONENT:
+                estimates[name] = ParameterEstimate.unknown(absent)
+        return ElementEstimate(self.name, estimates, sources)
 
-
-def _curve(element: _Element, rows: SweepRows, number: int, result: Fit, time: Array) -> CurvePoints:
-    """Return the points of an element: what everything but it leaves of each row on which it acts."""
-    steady = rows.friction.elements[number]
-    assert isinstance(steady, SteadyRows)
-    fitted = element.law.curve(steady.velocity, element.x)[0]
-    sides = []
-    for sign in (-1.0, 1.0):
-        speed = np.abs(steady.velocity[sign * steady.velocity > 0.0])
-        sides.append(sign * np.geomspace(speed.min(), speed.max(), _LINE_POINTS))
-    grid = np.sort(np.concatenate(sides))
-    torque, slopes = element.law.curve(grid, element.x)
-    deviation = np.sqrt(np.einsum("ki,ij,kj->k", slopes, element.covariance, slopes))
-    return CurvePoints(
-        velocity=steady.velocity,
-        torque=fitted + result.residual[steady.rows] / steady.gain,
-        deviation=result.noise[rows.slopes[steady.rows]] / np.abs(steady.gain),
-        fitted=fitted,
-        time=time[rows.plateau[steady.rows]],
-        line=np.stack([grid, torque, deviation]),
-    )
+    def curve(self, rows: SweepRows, number: int, result: Fit) -> FrictionCurve:
+        """Return the points of the element: what everything but it leaves of each row on which it acts."""
+        steady = rows.friction.elements[number]
+        assert isinstance(steady, SteadyRows)
+        fitted = self.law.curve(steady.velocity, self.x)[0]
+        sides = []
+        for sign in (-1.0, 1.0):
+            speed = np.abs(steady.velocity[sign * steady.velocity > 0.0])
+            sides.append(sign * np.geomspace(speed.min(), speed.max(), _LINE_POINTS))
+        grid = np.sort(np.concatenate(sides))
+        torque, slopes = self.law.curve(grid, self.x)
+        deviation = np.sqrt(np.einsum("ki,ij,kj->k", slopes, self.covariance, slopes))
+        return FrictionCurve(
+            velocity=steady.velocity,
+            torque=fitted + result.residual[steady.rows] / steady.gain,
+            deviation=result.noise[rows.slopes[steady.rows]] / np.abs(steady.gain),
+            fitted=fitted,
+            line=np.stack([grid, torque, deviation]),
+        )

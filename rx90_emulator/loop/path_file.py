@@ -1,7 +1,7 @@
 """Files of motions: paths of the tool and trajectories of the joints.
 
 A path is lines, arcs and splines in YAML, or the file of another program that it is read from. A trajectory is the YAML
-of a JointTrajectory, as `rx90_line --output` and `ros2 topic echo` write it.
+of a JointTrajectory, as `rx90 line --output` and `ros2 topic echo` write it.
 """
 
 from __future__ import annotations

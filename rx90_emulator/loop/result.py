@@ -173,14 +173,14 @@ def write_bag(run: RunResult, path: Path | str, decimation: int = 1) -> None:
     """
     check_type(run=(run, RunResult))
     # Here, because it takes as long as the plant's import.
-    from rx90_common.bags.writing import parameters_message, string_message, trajectory_message, write_joint_states
+    from rx90_common.bags.writing import parameter_message, string_message, trajectory_message, write_joint_states
 
     names = run.setup.robot.joint_names
     rates = run.setup.rates
     period_ns = rates.period_ns * rates.ratio
     others = [
         string_message("/robot_description", run.setup.robot.urdf),
-        parameters_message(f"/rx90_sim/{PARAMETERS}", "/rx90_sim", {SEED: run.setup.seed}),
+        parameter_message(f"/rx90_sim/{PARAMETERS}", "/rx90_sim", SEED, run.setup.seed),
     ]
     for start, points in run.commands:
         content = message_content(names, points) if points else {"joint_names": list(names), "points": []}

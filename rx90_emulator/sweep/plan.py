@@ -498,7 +498,7 @@ class BaseFile(FileModel):
 
 
 class PlanFile(FileModel):
-    """A plan of many closed-loop runs, for rx90_sweep."""
+    """A plan of many closed-loop runs, for rx90 sweep."""
 
     seed: Annotated[int, Field(ge=0, le=LARGEST_SEED, description="Seed of all random draws.")] = 0
     base: BaseFile = BaseFile()

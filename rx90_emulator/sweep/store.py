@@ -90,10 +90,10 @@ def about(schema: pa.Schema, file: Path) -> dict[str, Any]:
         found: dict[str, Any] = json.loads(schema.metadata[KEY])
         written = list(json.loads(schema.metadata[_PANDAS])["units"])
     except (TypeError, KeyError, ValueError) as error:
-        raise SweepError(f"{file} is not a result of rx90_sweep; accepted: a file that it wrote") from error
+        raise SweepError(f"{file} is not a result of rx90 sweep; accepted: a file that it wrote") from error
     if schema.names != written:
         lacking = listed([name for name in written if name not in schema.names]) or "none"
-        raise SweepError(f"{file} has other columns, lacking {lacking}; accepted: the file as rx90_sweep wrote it")
+        raise SweepError(f"{file} has other columns, lacking {lacking}; accepted: the file as rx90 sweep wrote it")
     return found
 
 
@@ -111,7 +111,7 @@ def read_sweep(file: Path | str) -> pa.Table:
     file = Path(file)
     sources = _sources(file)
     if not sources:
-        raise SweepError(f"{file} does not exist; accepted: a result of rx90_sweep run")
+        raise SweepError(f"{file} does not exist; accepted: a result of rx90 sweep run")
     tables = []
     for source in sources:
         try:
@@ -126,7 +126,7 @@ def read_sweep(file: Path | str) -> pa.Table:
                     pq.read_table(stream, use_threads=False, pre_buffer=False, page_checksum_verification=True)
                 )
         except (OSError, pa.ArrowException, DamagedError) as error:
-            accepted = "a result of rx90_sweep run"
+            accepted = "a result of rx90 sweep run"
             if source != file:
                 accepted = "remove this part, resume (--resume) computes its runs again"
             reason = " ".join(str(error).split())
@@ -141,7 +141,7 @@ def read_sweep(file: Path | str) -> pa.Table:
 
 def _sources(file: Path) -> list[Path]:
     if not file.name:
-        raise SweepError(f"{file} is a folder; accepted: a file that rx90_sweep run wrote")
+        raise SweepError(f"{file} is a folder; accepted: a file that rx90 sweep run wrote")
     parts = sorted(parts_folder(file).glob("part-*.parquet"))
     return [file, *parts] if file.is_file() else parts
 

@@ -13,11 +13,11 @@ made, and has its functions called on that thread:
 Viser serves whoever connects, other pages in the same browser included. So all that `page.gui` holds is shown alone,
 without an input; inputs are those of `ControlPanel`, made for one client after it has given the code.
 
-page, scene, live and panel are of the page, tour of the arm that `rx90_view --demo` moves.
+page, scene, live and panel are of the page, tour of the arm that `rx90 view --demo` moves.
 """
 
 OPENED = "the page is open"
-"""What `rx90_view` prints when a browser has loaded the page for the first time."""
+"""What `rx90 view` prints when a browser has loaded the page for the first time."""
 
 TO_OTHERS = (
     "other machines can open the page, too: they see the arm, and who has the code can move it; who listens on the "

@@ -38,8 +38,8 @@ TRIES = 5
 """Wrong codes of all clients together after which none is taken any more."""
 _ALPHABET = "23456789ABCDEFGHJKMNPQRSTUVWXYZ"  # without what looks like 0 or 1
 _LENGTH = 8
-_LOCKED = "Locked: the code is in the terminal, where rx90_view was started."
-_SHUT = f"{TRIES} wrong codes: no further page is unlocked until rx90_view is started again"
+_LOCKED = "Locked: the code is in the terminal, where rx90 view was started."
+_SHUT = f"{TRIES} wrong codes: no further page is unlocked until rx90 view is started again"
 _WRONG = "color:#c92a2a"
 _PERIOD = 0.1  # s
 _LINES = 6
@@ -155,7 +155,7 @@ class ControlPanel:
         for part in itertools.chain(*self._forms.values()):
             part.remove()
         self._forms.clear()
-        print(f"rx90_view: {_SHUT}", file=sys.stderr, flush=True)
+        print(f"rx90 view: {_SHUT}", file=sys.stderr, flush=True)
 
     def _add_inputs(self, client: viser.ClientHandle) -> None:
         """Add all inputs for a client that has given the code."""

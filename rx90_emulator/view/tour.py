@@ -1,4 +1,4 @@
-"""What `rx90_view --demo` shows: nodes of its own, whose arm goes along the line again and again."""
+"""What `rx90 view --demo` shows: nodes of its own, whose arm goes along the line again and again."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Tour:
             except Rx90Error as error:  # torque off, somebody else's motion: the next time it may go
                 if str(error) != said and not self._ending.is_set():
                     said = str(error)
-                    print(f"rx90_view: the line was not sent: {said}", flush=True)
+                    print(f"rx90 view: the line was not sent: {said}", flush=True)
             self._ending.wait(_REST)
             while not self._ending.wait(_TOUR_PERIOD) and not view.rests(_REST):
                 pass  # until the trajectory that was accepted last is over

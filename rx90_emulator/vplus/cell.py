@@ -1,61 +1,111 @@
-"""The arm in its closed loop, beat by beat: what a task of V+ runs on, without ROS."""
+"""The cell: the arm in its closed loop, its signals and its time, beat by beat.
+
+Outputs are from 1, inputs from 1001, software signals from 2001, the hand's from 3001.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Protocol
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
+import yaml
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import plain, quoted
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
 from rx90_emulator.loop.closed_loop import run_setpoints
 from rx90_emulator.loop.result import FastSeries, MotionCommand, RunResult, SlowSeries, empty_series
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.vplus.arm import ProgrammedArm
-from rx90_emulator.vplus.motion import MotionQueue
-from rx90_emulator.vplus.signals import Signals
+from rx90_emulator.vplus.motion import MotionQueue, ProgrammedArm
+from rx90_emulator.vplus.values import VplusError
 
-PERIOD = 16e-3
+PERIOD: Final = 16e-3
 """Of set-points, s, from one beat to the next."""
+_INPUTS: Final = frozenset(range(1001, 2001))
+_OUTPUTS: Final = frozenset([*range(1, 1001), *range(2001, 4001)])
+_ACCEPTED_INPUTS: Final = "inputs from 1001 to 2000, and times >= 0 at which each goes on, off and so on, s, increasing"
+
+
+class Change(NamedTuple):
+    """A signal that went on or off at a simulated time, s."""
+
+    time: float
+    signal: int
+    on: bool
+
+
+def load_inputs(file: Path) -> list[Change]:
+    """Read the times at which inputs change: `1001: 1.0`, or `1001: [1.0, 2.5]` for on and off in turns.
+
+    Raises:
+        ConfigError: naming the value and what is accepted.
+    """
+    changes: list[Change] = []
+    try:
+        for signal, value in yaml.safe_load(file.read_text(encoding="utf-8")).items():
+            times = np.array(value, dtype=np.float64).ravel()
+            if signal not in _INPUTS or not (np.diff(times, prepend=-1e-9) > 0.0).all():
+                raise ValueError(f"{quoted(signal)}: {quoted(value)}")
+            changes += [Change(float(time), signal, turn % 2 == 0) for turn, time in enumerate(times)]
+    except (OSError, AttributeError, TypeError, ValueError, yaml.YAMLError) as error:
+        raise ConfigError(f"{plain(file)}: {plain(error)}; accepted: {_ACCEPTED_INPUTS}") from None
+    return sorted(changes)
 
 
 class Drive(Protocol):
-    """What follows the set-points: the closed loop, or running nodes."""
+    """What follows the set-points: the closed loop, or running nodes.
 
-    def follow(self, position: Array, velocity: Array) -> None:
-        """Go to joint angles, rad, with speeds, rad/s, within the next beat."""
+    Attributes:
+        start: measured joint angles in the beginning, rad, shape (6,).
+    """
+
+    start: Array
+
+    def send(self, time: float, position: Array, velocity: Array) -> None:
+        """Go to joint angles, rad, with speeds, rad/s, until a time, s, and let that time come."""
 
     def position(self) -> Array:
         """Return the measured joint angles, rad, shape (6,)."""
 
 
-@dataclass(eq=False)
 class Cell:
     """The arm, its signals and the time, which goes on by one beat after the other.
 
+    Args:
+        setup: robot, drives, friction, controller, rates.
+        drive: what moves the arm.
+        inputs: changes of inputs, in the order of their times.
+        period: of a beat, s.
+
     Attributes:
         arm: its kinematics and limits.
-        drive: what moves it.
         queue: its motions.
-        period: of a beat, s.
-        signals: inputs and outputs.
-        show: what TYPE shows goes there.
-        ask: asks for a line of text.
+        changes: of outputs, in their order.
+        publish: gets the outputs that are on, at the first beat and where they have changed since the last one.
+        show: gets what TYPE shows, with its time, s, and whether a line ends behind it.
+        ask: asks for a line of text with a question; gives None while there is none.
         tolerance: of the position errors at the end of a motion, as a share of the arm's.
+        beats: that have passed.
     """
 
-    arm: ProgrammedArm
-    drive: Drive
-    queue: MotionQueue
-    period: float = PERIOD
-    signals: Signals = field(default_factory=Signals)
-    show: Callable[[str, float, bool], None] = lambda text, time, ends: print(f"{text}")  # noqa: ARG005
-    ask: Callable[[str], str] = lambda question: ""  # noqa: ARG005
-    tolerance: float = 1.0
-    beats: int = 0
+    def __init__(self, setup: Setup, drive: Drive, inputs: Iterable[Change] = (), period: float = PERIOD) -> None:
+        self.arm = ProgrammedArm(setup)
+        self.drive = drive
+        self.queue = MotionQueue(self.arm, drive.start)
+        self.period = period
+        self.changes: list[Change] = []
+        self.publish: Callable[[set[int]], None] = lambda _: None
+        self.show: Callable[[str, float, bool], None] = lambda *_: None
+        self.ask: Callable[[str], str | None] = input
+        self.tolerance = 1.0
+        self.beats = 0
+        self._planned = list(inputs)
+        self._on: set[int] = set()
+        self._published: set[int] | None = None
 
     @property
     def time(self) -> float:
@@ -66,81 +116,107 @@ class Cell:
     def settled(self) -> bool:
         """Return whether the arm stands where it should at the end of a motion."""
         error = np.degrees(np.abs(self.drive.position() - self.queue.position))
-        return bool(error.max() <= self.tolerance * self.arm.speeds.null_tolerance)
+        return bool(error.max() <= self.tolerance * self.arm.full.null_tolerance)
 
     def advance(self) -> None:
         """Let one beat pass."""
-        self.drive.follow(*self.queue.advance(self.period, self.time))
+        if self.outputs() != self._published:
+            self._published = self.outputs()
+            self.publish(self._published)
+        setpoint = self.queue.advance(self.period, self.time)
+        self.drive.send((self.beats + 1) * self.period, *setpoint)
         self.beats += 1
-        self.signals.advance(self.time)
+        while self._planned and self._planned[0].time <= self.time:
+            _, signal, on = self._planned.pop(0)
+            self._on = self._on | {signal} if on else self._on - {signal}
         self.queue.begin_waiting(self.settled, self.time)
 
+    def receive(self, on: set[int]) -> None:
+        """Take the inputs that are on; the others are off."""
+        self._on = self.outputs() | (on & _INPUTS)
 
-@dataclass(eq=False)
+    def outputs(self) -> set[int]:
+        """Return the outputs that are on."""
+        return self._on - _INPUTS
+
+    def is_on(self, signal: int) -> bool:
+        """Return whether a signal is as its number says: on, or off for a negative number.
+
+        Raises:
+            VplusError: if there is no such signal.
+        """
+        if abs(signal) not in _INPUTS | _OUTPUTS:
+            raise VplusError("Illegal digital signal", str(signal))
+        return (abs(signal) in self._on) == (signal > 0)
+
+    def switch(self, *signals: int) -> None:
+        """Switch outputs on, or off for negative numbers.
+
+        Raises:
+            VplusError: for what is no output.
+        """
+        for signal in signals:
+            if abs(signal) not in _OUTPUTS:
+                raise VplusError("Illegal digital signal", str(signal))
+            if not self.is_on(signal):
+                self._on ^= {abs(signal)}
+                self.changes.append(Change(self.time, abs(signal), signal > 0))
+
+
 class Engine:
-    """The closed loop of the emulator, a beat at a time.
+    """The closed loop of the emulator, a beat at a time, from READY on.
 
-    Attributes:
+    Args:
         setup: robot, drives, friction, controller, rates.
-        start: joint angles at rest, rad, shape (6,).
         period: of a beat, s.
         keep: whether the series are kept.
         record_fast: whether those on base ticks are, too.
     """
 
-    setup: Setup
-    start: Array
-    period: float = PERIOD
-    keep: bool = True
-    record_fast: bool = False
-
-    def __post_init__(self) -> None:
-        rates = self.setup.rates
-        self._plant = self.setup.plant()
-        self._law = self.setup.cs7b()
+    def __init__(self, setup: Setup, period: float = PERIOD, *, keep: bool = True, record_fast: bool = False) -> None:
+        self.start = ProgrammedArm(setup).ready
+        self._setup = setup
+        self._keep = keep
+        self._record_fast = record_fast
+        self._plant = setup.plant()
+        self._law = setup.cs7b()
         self._plant.reset(self.start)
         self._law.reset(self._plant.motor_states()[0])
-        self._ticks = rates.ticks_of(self.period)
-        self._times: Array = np.arange(self._ticks // rates.ratio, dtype=np.float64) * rates.position_period
-        self._knots = [np.stack([self.start, np.zeros(6)])]
-        self._fast: list[FastSeries] = []
-        self._slow: list[SlowSeries] = []
+        self._ticks = setup.rates.ticks_of(period)
+        self._times = np.arange(0.0, period - 1e-9, setup.rates.position_period)
+        self._knots = [np.concatenate([[0.0], self.start, np.zeros(6)])]
+        self._series: list[tuple[FastSeries, SlowSeries]] = []
 
     def position(self) -> Array:
         """Return the measured joint angles, rad, shape (6,)."""
         return np.array(self._plant.joint_states()[0])
 
-    def follow(self, position: Array, velocity: Array) -> None:
+    def send(self, time: float, position: Array, velocity: Array) -> None:
         """Go to joint angles, rad, with speeds, rad/s, within the next beat.
 
         Raises:
             DivergenceError: naming joint and tick.
             SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
         """
-        before = self._knots[-1]
-        knot = np.stack([position, velocity])
-        both = np.stack([before, knot])
-        rows = interpolate(np.array([0.0, self.period]), both[:, 0], both[:, 1], None).sample(self._times)
-        ahead = np.concatenate([rows[1:, 1], velocity[None]])
-        rows[:, 2] = (ahead - rows[:, 1]) / self.setup.rates.position_period  # as FollowedPath.leading
-        setpoints = np.ascontiguousarray(rows)
-        rates = self.setup.rates
-        fast, slow = empty_series(self._ticks, rates.ratio, self.record_fast, arm=self.setup.drives.turning.size)
-        run_setpoints(self._plant, self._law, setpoints, self._ticks, fast, slow)
-        if self.keep:
-            self._knots.append(knot)
-            self._fast.append(fast)
-            self._slow.append(slow)
+        rates = self._setup.rates
+        self._knots.append(np.concatenate([[time], position, velocity]))
+        ends = np.array(self._knots[-2:])
+        rows = interpolate(ends[:, 0] - ends[0, 0], ends[:, 1:7], ends[:, 7:], None).sample(self._times)
+        ahead = np.vstack([rows[1:, 1], velocity])
+        rows[:, 2] = (ahead - rows[:, 1]) / rates.position_period  # as FollowedPath.leading
+        series = empty_series(self._ticks, rates.ratio, self._record_fast, arm=self._setup.drives.turning.size)
+        run_setpoints(self._plant, self._law, np.ascontiguousarray(rows), self._ticks, *series)
+        if self._keep:
+            self._series.append(series)
         else:
-            self._knots = [knot]
+            del self._knots[0]
 
     def result(self) -> RunResult:
         """Return the run so far, as that of one trajectory."""
-        slow = SlowSeries(*(np.concatenate(parts) for parts in zip(*self._slow, strict=True)))
-        fast = FastSeries(*(np.concatenate(parts) for parts in zip(*self._fast, strict=True)))
+        fast, slow = zip(*self._series, strict=True)
+        kept = FastSeries(*map(np.concatenate, zip(*fast, strict=True))) if self._record_fast else None
+        series = SlowSeries(*map(np.concatenate, zip(*slow, strict=True)))
         knots = np.array(self._knots)
-        times: Array = np.arange(len(knots), dtype=np.float64) * self.period
-        points = TrajectoryPoints(times, knots[:, 0], knots[:, 1], None)
+        points = TrajectoryPoints(knots[:, 0], knots[:, 1:7], knots[:, 7:], None)
         commands = (MotionCommand(0, points),)
-        kept = fast if self.record_fast else None
-        return RunResult(self.setup, kept, slow, self._law.saturated, commands, self._plant.substeps)
+        return RunResult(self._setup, kept, series, self._law.saturated, commands, self._plant.substeps)

@@ -5,26 +5,28 @@ A command is a generator: it yields lines to show, a question (`Ask`), whose ans
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Callable, Generator, Iterator
+import select
+import socket
+import time
+import tty
+from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import plain
-from rx90_emulator.vplus import language  # noqa: F401 - enters the instructions
 from rx90_emulator.vplus.cell import Cell
-from rx90_emulator.vplus.errors import LoadError, VplusError
-from rx90_emulator.vplus.locations import tool_at
-from rx90_emulator.vplus.program import Memory, Program, Step, checked_line, load, read
-from rx90_emulator.vplus.readings import Readings
-from rx90_emulator.vplus.registry import CONTROL
-from rx90_emulator.vplus.syntax import Function, Reference, parse_line, plain_name
-from rx90_emulator.vplus.task import Frame, Task
+from rx90_emulator.vplus.instructions import CONTROL
+from rx90_emulator.vplus.program import load_programs, parse_line, plain_name, read
+from rx90_emulator.vplus.task import OF_EXECUTE, Frame, Task, Waits
 from rx90_emulator.vplus.transformations import six_numbers, trans
-from rx90_emulator.vplus.values import Joints, Value
+from rx90_emulator.vplus.tree import Memory, Program, Step
+from rx90_emulator.vplus.values import Cell as Variable
+from rx90_emulator.vplus.values import Joints, LoadError, Value, VplusError, element
 
 
 class Ask(str):
@@ -33,17 +35,19 @@ class Ask(str):
     __slots__ = ()
 
 
-Dialogue: TypeAlias = Generator["str | None", str, None]
-_PLACE: Final = "X/J1      Y/J2      Z/J3      y/J4      p/J5      r/J6"
-_NUMBER_COUNT: Final = 6
-_FILE = re.compile(r"[\w-]+(\.\w+)?$", re.ASCII)
-_LATER: Final = ("TOOL", "BASE", "SIGNAL", "RESET", "PARAMETER", "DISABLE", "TYPE")
-"""Instructions that are commands, too."""
-
-
-def _row(value: Value) -> str:
-    numbers = value if isinstance(value, Joints) else six_numbers(np.asarray(value))
-    return " ".join(f"{number + 0.0:9.3f}" for number in numbers)
+Dialogue: TypeAlias = Generator["str | None", str, Any]
+Command: TypeAlias = Callable[["Monitor", str], "Dialogue | None"]
+_PLACES: Final = (np.ndarray, Joints)
+_COLUMNS: Final = "X/J1      Y/J2      Z/J3      y/J4      p/J5      r/J6"
+_FILE: Final = re.compile(r"[\w-]+(\.\w+)?", re.ASCII)
+_CALLED: Final = re.compile(r"(?:/C\s*)?(?:\d\s+)?([^,(]+(?:\(.*\))?)\s*(?:,\s*(-?\d+).*)?", re.IGNORECASE)
+_LONGEST_LINE: Final = 1000
+_MOST_BYTES: Final = 4096
+_MOST_BEATS: Final = 20
+"""Beats that are made up for at once; a machine that is slower than that is slower than the wall clock."""
+_INTERRUPT: Final = 3
+_BITS: Final = 10
+"""Of a byte on a line with 8 data bits, no parity and a stop bit."""
 
 
 class Monitor:
@@ -55,328 +59,458 @@ class Monitor:
         send: shows text on the terminal.
 
     Attributes:
-        memory: programs and variables.
+        task: what runs programs and single instructions.
+        program: the program that runs; None if none does.
+        call: it and its arguments.
+        cycles: that are left of it; negative for no end.
     """
 
     def __init__(self, cell: Cell, folder: Path, send: Callable[[str], None]) -> None:
-        self.memory = Memory()
-        self._cell = cell
-        self._folder = folder
+        self.folder = folder
+        self.task = Task(Memory(), cell)
+        self.program: Waits | None = None
+        self.call: tuple[Any, ...] = ()
+        self.cycles = 0
         self._send = send
-        self._task = Task(self.memory, cell, Readings())
-        self._direct = Task(self.memory, cell, Readings())
-        self._direct.settings = self._task.settings
-        self._runs: Iterator[str] | None = None
         self._dialogue: Dialogue | None = None
         self._asks = False
+        self._reads = False
+        self._answer: str | None = None
+        self._typed = ""
+        self._lines: list[str] = []
         cell.show = lambda text, _, ends: send(f"{text}\r\n" if ends else text)
-        self._commands: dict[str, Callable[[str], Dialogue]] = {
-            "DO": self._do,
-            "WHERE": self._where,
-            "HERE": self._here,
-            "POINT": self._point,
-            "LISTL": self._list_places,
-            "LISTR": self._list_values,
-            "LISTS": self._list_values,
-            "LISTP": self._list_programs,
-            "DIRECTORY": self._directory,
-            "SPEED": self._speed,
-            "EXECUTE": self._execute,
-            "ABORT": self._abort,
-            "KILL": self._kill,
-            "PROCEED": self._proceed,
-            "STATUS": self._status,
-            "LOAD": self._load,
-            "STORE": self._store,
-            "DELETE": self._delete,
-            "EDIT": self._edit,
-            "ENABLE": self._enable,
-            "CALIBRATE": self._nothing,
-            "ZERO": self._zero,
-        }
-
-    # The terminal.
-
-    def begin(self) -> None:
-        """Show the prompt."""
-        self._send(".")
+        cell.ask = self._ask
 
     @property
     def is_busy(self) -> bool:
         """Return whether a command runs that takes no line."""
         return self._dialogue is not None and not self._asks
 
-    def take(self, line: str) -> None:
-        """Take a line: a command, or the answer to a question."""
-        if self._asks:
-            self._asks = False
-            self._go_on(line)
-            return
-        self._dialogue = self._command(line.strip())
-        self._go_on(None)
+    def receive(self, data: bytes) -> None:
+        """Take bytes from the terminal: make lines of them, and do what they say."""
+        for character in data.decode("latin-1"):
+            if ord(character) == _INTERRUPT:
+                self.abort()
+            elif character == "\r":
+                self._lines.append(self._typed)
+                self._typed = ""
+            elif character in "\b\x7f":
+                self._typed = self._typed[:-1]
+            elif character != "\n" and len(self._typed) < _LONGEST_LINE:
+                self._typed += character
+        self._take_lines()
+
+    def _take_lines(self) -> None:
+        while self._lines and not self.is_busy:
+            line = self._lines.pop(0)
+            self._send(f"{line}\r\n")
+            if self._reads:
+                self._answer = line
+            elif self._asks:
+                self._asks = False
+                self._go_on(line)
+            else:
+                self._dialogue = self._command(line.strip())
+                self._go_on(None)
+
+    def _ask(self, question: str) -> str | None:
+        """Return the line that a program waits for, None while there is none."""
+        self._send(question)
+        answer = self._answer
+        self._answer = None
+        self._reads = answer is None
+        return answer
 
     def beat(self) -> None:
         """Let a beat pass: of the program, the command under way and the cell."""
-        if self._runs is not None:
-            try:
-                next(self._runs)
-            except StopIteration:
-                self._end_program("Program completed")
-            except VplusError as error:
-                self._end_program(f"{error.message} {error.where}")
+        try:
+            if self.program is not None:
+                next(self.program)
+        except StopIteration:
+            self._end("Program completed")
+        except VplusError as error:
+            self._end(f"{error.message} {error.where}")
         if self.is_busy:
             self._go_on(None)
         try:
-            self._cell.advance()
+            self.task.cell.advance()
         except Rx90Error as error:
-            self._cell.queue.drop()
-            self._end_program(f"*Soft envelope error* {error}")
+            self.task.queue.drop()
+            self._end(f"*Soft envelope error* {error}")
+        self._take_lines()
 
-    def _end_program(self, message: str) -> None:
-        self._runs = None
+    def rounds(self) -> Waits:
+        """Run the program for the cycles that are left, from where it is."""
+        while self.cycles and not self.task.halted:
+            if not self.task.frames:
+                self.task.call(*self.call)
+            yield from self.task.run()
+            self.cycles -= 1
+
+    def abort(self) -> None:
+        """End program and motion; PROCEED goes on with the program."""
+        self.task.queue.stop()
+        self.program = None
+        self._reads = False
+
+    def _end(self, message: str) -> None:
+        self.program = None
         self._send(f"\r\n{message}\r\n.")
 
     def _go_on(self, answer: str | None) -> None:
         """Go on with a command until it asks, waits or ends."""
-        dialogue = self._dialogue
-        assert dialogue is not None
+        assert self._dialogue is not None
         try:
             while True:
-                item = dialogue.send(answer)  # type: ignore[arg-type]  # None begins and goes on
+                item = self._dialogue.send(answer)  # type: ignore[arg-type]  # None begins and goes on
                 answer = None
-                if item is None:
-                    return
-                self._send(item if isinstance(item, Ask) else f"{item}\r\n")
-                if isinstance(item, Ask):
-                    self._asks = True
+                self._asks = isinstance(item, Ask)
+                self._send("" if item is None else item if self._asks else f"{item}\r\n")
+                if item is None or self._asks:
                     return
         except StopIteration:
             pass
         except VplusError as error:
             self._send(f"{error.message} {error.detail}".rstrip() + "\r\n")
         except (Rx90Error, SyntaxError) as error:
-            text = str(error)
-            self._send(f"{text if text.startswith('*') else f'*{text}*'}\r\n")
+            self._send(f"*{str(error).strip('*')}*\r\n")
         self._dialogue = None
         self._send(".")
 
     def _command(self, line: str) -> Dialogue:
-        word, _, rest = line.partition(" ")
-        word = word.upper()
-        if not word:
-            return
-        name = next((name for name in (*self._commands, *_LATER) if name.startswith(word)), "")
-        if name in _LATER:
-            yield from self._do(f"{name} {rest}")
-        elif not name:
-            raise SyntaxError("*Unknown command*")
-        else:
-            yield from self._commands[name](rest.strip())
+        word, _, text = line.partition(" ")
+        if word:
+            names = [name for name in COMMANDS if name.startswith(word.upper())]
+            if not names:
+                raise SyntaxError("Unknown command")
+            command = COMMANDS[names[0]]
+            dialogue = _do(self, command.format(text)) if isinstance(command, str) else command(self, text.strip())
+            if dialogue is not None:
+                yield from dialogue
 
-    # Commands.
 
-    def _nothing(self, _: str) -> Dialogue:
-        yield from ()
+# Commands.
 
-    def _do(self, text: str) -> Dialogue:
-        if not text:
-            raise SyntaxError("*Missing argument*")
-        line = checked_line(text)
-        if line.word in CONTROL and line.word != "=":
-            raise SyntaxError("*Illegal monitor command*")
-        self._direct.frames = [Frame(Program("do", (), [Step(1, line)]))]
-        for _ in self._direct.walk():
+
+def _do(monitor: Monitor, text: str) -> Dialogue:
+    task = monitor.task
+    line = parse_line(text)
+    if line.word in CONTROL:
+        raise SyntaxError("Illegal monitor command")
+    _check_idle(monitor)
+    depth = len(task.frames)
+    task.frames.append(Frame(Program("do", steps=[Step(1, line.word, line)])))
+    try:
+        for _ in task.walk(depth):
             yield None
+    finally:
+        del task.frames[depth:]
 
-    def _where(self, _: str) -> Dialogue:
-        q = self._cell.drive.position()
-        yield "      X         Y         Z         y         p         r       Hand"
-        yield f"{_row(tool_at(self._task, q))}     0.000"
-        yield "      J1        J2        J3        J4        J5        J6"
-        yield _row(self._cell.arm.joints(q))
 
-    def _place(self, name: str, value: Value) -> Dialogue:
-        """Show a location, and store what is typed instead, until an empty line."""
-        cell = self.memory.variables.cell(plain_name(name))
-        while True:
-            cell.store(name, value)
-            yield _PLACE
-            yield _row(value)
-            answer = yield Ask("Change? ")
-            if not answer.strip():
-                return
-            numbers = [*(value if isinstance(value, Joints) else six_numbers(np.asarray(value)))]
-            for place, part in enumerate(answer.split(",")[:_NUMBER_COUNT]):
-                try:
-                    numbers[place] = float(part) if part.strip() else numbers[place]
-                except ValueError:
-                    raise VplusError("Illegal value", plain(part)) from None
-            value = Joints(numbers) if isinstance(value, Joints) else trans(*numbers)
+def _check_idle(monitor: Monitor) -> None:
+    if monitor.program is not None:
+        raise VplusError("Program task already active")
 
-    def _name(self, text: str) -> str:
-        if not re.fullmatch(r"[$#]?[A-Za-z][\w.]*", text):
-            raise VplusError("Illegal value", f"name {plain(text)}")
-        return plain_name(text)
 
-    def _here(self, text: str) -> Dialogue:
-        name = self._name(text)
-        q = self._cell.drive.position()
-        yield from self._place(name, self._cell.arm.joints(q) if name[0] == "#" else tool_at(self._task, q))
+def _where(monitor: Monitor, _: str) -> Dialogue:
+    q = monitor.task.cell.drive.position()
+    yield "      X         Y         Z         y         p         r       Hand"
+    yield f"{_text(monitor.task.tool_at(q))}     0.000"
+    yield "      J1        J2        J3        J4        J5        J6"
+    yield _text(monitor.task.arm.joints(q))
 
-    def _point(self, text: str) -> Dialogue:
-        left, equals, right = text.partition("=")
-        name = self._name(left.strip())
-        if equals:
-            yield from self._do(f"SET {name} = {right}")
-        value = self.memory.variables.cell(name).value
-        yield from self._place(name, value if value is not None else Joints([0.0] * 6) if name[0] == "#" else np.eye(4))
 
-    def _values(self, text: str, wanted: Callable[[Value], bool]) -> Iterator[tuple[str, Value]]:
-        names = [plain_name(part.strip()) for part in text.split(",") if part.strip()]
-        for name, value in self.memory.variables.values():
-            if wanted(value) and (not names or name.partition("[")[0] in names or name in names):
-                yield name, value
+def _text(value: Value | None) -> str:
+    if isinstance(value, float):
+        return repr(value)
+    if isinstance(value, str):
+        return f'"{value}"'
+    return " ".join(f"{number + 0.0:9.3f}" for number in _numbers(value))
 
-    def _list_places(self, text: str) -> Dialogue:
-        yield f"          {_PLACE}"
-        for name, value in self._values(text, _is_place):
-            yield f"{name:<10} {_row(value)}"
 
-    def _list_values(self, text: str) -> Dialogue:
-        for name, value in self._values(text, lambda value: isinstance(value, float | str)):
-            yield f"{name} = {value:g}" if isinstance(value, float) else f'{name} = "{value}"'
+def _numbers(value: Any) -> tuple[float, ...]:
+    return value if isinstance(value, Joints) else six_numbers(value)
 
-    def _program(self, name: str) -> Program:
-        return self._task.program(plain_name(name))
 
-    def _list_programs(self, text: str) -> Dialogue:
-        for program in [self._program(text)] if text else self.memory.programs.values():
-            yield from _written(program)
+def _name(text: str) -> str:
+    if not re.fullmatch(r"[$#]?[A-Za-z][\w.]*", text):
+        raise VplusError("Illegal value", f"name {plain(text)}")
+    return plain_name(text)
 
-    def _directory(self, _: str) -> Dialogue:
-        for program in self.memory.programs.values():
-            yield f"  .PROGRAM {program.name}({', '.join(program.parameters)})"
 
-    def _speed(self, text: str) -> Dialogue:
-        yield from self._do(f"SPEED {text} MONITOR")
+def _here(monitor: Monitor, text: str) -> Dialogue:
+    yield from _do(monitor, "BREAK")
+    yield from _do(monitor, f"HERE {text}")
+    yield from _point(monitor, text)
 
-    def _execute(self, text: str) -> Dialogue:
-        if self._runs is not None:
-            raise VplusError("Program task already active")
-        match = re.match(r"(?:/C\s*)?(?:\d+\s+)?([^,(]+(?:\(.*\))?)", text, re.IGNORECASE)
-        if match is None:
-            raise VplusError("Missing argument", "EXECUTE program")
-        called = parse_line(f"CALL {match[1]}").arguments[0]
-        assert isinstance(called, Function | Reference)
-        self._task.frames = []
-        self._task.call(called.name, called.arguments if isinstance(called, Function) else ())
-        self._task.settings.reset()
-        self._runs = self._task.run()
-        yield from ()
 
-    def _abort(self, _: str) -> Dialogue:
-        if self._runs is None:
+def _point(monitor: Monitor, text: str) -> Dialogue:
+    """Show a location, and store what is typed instead, until an empty line."""
+    name = _name(text.partition("=")[0].strip())
+    if "=" in text:
+        yield from _do(monitor, f"SET {text}")
+    cell = element(monitor.task.memory.variables, name, ())
+    if cell.value is None:
+        cell.store(Joints([0.0] * 6) if name[0] == "#" else np.eye(4))
+    while True:
+        yield _COLUMNS
+        yield _text(cell.value)
+        answer = yield Ask("Change? ")
+        if not answer.strip():
             return
-        answer = yield Ask("Are you sure (Y/N)? ")
-        if answer.strip().upper().startswith("Y"):
-            self.abort()
-
-    def abort(self) -> None:
-        """End program and motion."""
-        self._cell.queue.stop()
-        self._task.frames = []
-        self._runs = None
-
-    def _kill(self, _: str) -> Dialogue:
-        self.abort()
-        yield from ()
-
-    def _proceed(self, _: str) -> Dialogue:
-        if self._runs is None or not self._task.paused:
-            raise VplusError("Program not executable")
-        self._task.paused = False
-        yield from ()
-
-    def _status(self, _: str) -> Dialogue:
-        frames = self._task.frames
-        state = "paused" if self._task.paused else "running"
-        if self._runs is None or not frames:
-            yield "Task 0  idle"
-        else:
-            yield f"Task 0  {state}  {frames[-1].program.name}  step {frames[-1].place}"
-
-    def _file(self, text: str) -> Path:
-        if not _FILE.match(text):
-            raise VplusError("Illegal file name", plain(text))
-        return self._folder / (text if "." in text else f"{text}.v2")
-
-    def _load(self, text: str) -> Dialogue:
+        typed = [*answer.split(","), *[""] * 6]
         try:
-            loaded = load(self._file(text))
-        except LoadError as error:
-            for fault in error.faults:
-                yield f"*{fault}*"
-            return
-        for name in loaded.programs:
-            yield f".PROGRAM {name}"
-        self.memory.programs.update(loaded.programs)
-        self.memory.variables.cells.update(loaded.variables.cells)
-        self.memory.variables.tables.update(loaded.variables.tables)
-
-    def _store(self, text: str) -> Dialogue:
-        left, _, right = text.partition("=")
-        names = [part.strip() for part in right.split(",") if part.strip()] or list(self.memory.programs)
-        lines = [line for name in names for line in _written(self._program(name))]
-        places = [f"{name} {_row(value)}" for name, value in self._values("", _is_place)]
-        reals = [f"{name} {value!r}" for name, value in self._values("", lambda value: isinstance(value, float))]
-        texts = [f'{name} "{value}"' for name, value in self._values("", lambda value: isinstance(value, str))]
-        lines += [".LOCATIONS", *places, ".END", ".REALS", *reals, ".END", ".STRINGS", *texts, ".END"]
-        file = self._file(left.strip())
-        if file.exists():
-            raise VplusError("File already exists", file.name)
-        file.write_text("\n".join(lines) + "\n", encoding="latin-1")
-        yield from ()
-
-    def _delete(self, text: str) -> Dialogue:
-        program = self._program(text)
-        answer = yield Ask("Are you sure (Y/N)? ")
-        if answer.strip().upper().startswith("Y"):
-            del self.memory.programs[program.name]
-
-    def _edit(self, text: str) -> Dialogue:
-        name = self._name(text.partition("(")[0].strip())
-        present = self.memory.programs.get(name)
-        lines = [*_written(present)][1:-1] if present is not None else []
-        while True:
-            answer = yield Ask(f"{len(lines) + 1:5d} ? ")
-            if answer.strip().upper() == "E":
-                break
-            lines.append(answer)
-        parameters = f"({text.partition('(')[2]}" if "(" in text else "()"
-        trial = Memory()
-        faults = read("\n".join([f".PROGRAM {name}{parameters}", *lines, ".END"]), trial)
-        for line, fault in faults:
-            yield f"*{fault}* step {line - 1}"
-        self.memory.programs.update(trial.programs if not faults else {})
-
-    def _enable(self, text: str) -> Dialogue:
-        name = next((name for name in ("POWER", "CP", "DRY.RUN") if name.startswith(text.upper())), text)
-        yield from self._do(f"ENABLE {name}")
-        yield ""
-
-    def _zero(self, _: str) -> Dialogue:
-        answer = yield Ask("Are you sure (Y/N)? ")
-        if answer.strip().upper().startswith("Y"):
-            self.memory.programs.clear()
-            self.memory.variables.cells.clear()
-            self.memory.variables.tables.clear()
+            numbers = [
+                float(new) if new.strip() else old for old, new in zip(_numbers(cell.value), typed, strict=False)
+            ]
+        except ValueError:
+            raise VplusError("Illegal value", plain(answer)) from None
+        cell.store(Joints(numbers) if name[0] == "#" else trans(*numbers))
 
 
-def _written(program: Program) -> Iterator[str]:
-    yield f".PROGRAM {program.name}({', '.join(program.parameters)})"
-    yield from program.text
-    yield ".END"
+def _variables(monitor: Monitor, text: str, kinds: Any) -> list[Variable]:
+    """Return variables of some types, of all names or those in a text."""
+    names = text.lower().replace(",", " ").split()
+    cells = [cell for table in monitor.task.memory.variables.values() for cell in table.values()]
+    return [
+        cell
+        for cell in sorted(cells, key=lambda cell: cell.name)
+        if isinstance(cell.value, kinds) and (not names or cell.name.partition("[")[0] in names)
+    ]
 
 
-def _is_place(value: Value) -> bool:
-    return not isinstance(value, float | str)
+def _list_places(monitor: Monitor, text: str) -> Dialogue:
+    yield f"          {_COLUMNS}"
+    for cell in _variables(monitor, text, _PLACES):
+        yield f"{cell.name:<10} {_text(cell.value)}"
+
+
+def _list_values(monitor: Monitor, text: str) -> Dialogue:
+    for cell in _variables(monitor, text, (float, str)):
+        yield f"{cell.name} = {_text(cell.value)}"
+
+
+def _listing(program: Program) -> list[str]:
+    return [f".PROGRAM {program.name}({', '.join(program.parameters)})", *program.text, ".END"]
+
+
+def _programs(monitor: Monitor, text: str) -> list[Program]:
+    names = [plain_name(name) for name in text.replace(",", " ").split()] or monitor.task.memory.programs
+    return [monitor.task.program(name) for name in names]
+
+
+def _list_programs(monitor: Monitor, text: str) -> Dialogue:
+    for program in _programs(monitor, text):
+        yield from _listing(program)
+
+
+def _directory(monitor: Monitor, _: str) -> Dialogue:
+    for program in _programs(monitor, ""):
+        yield f"  {_listing(program)[0]}"
+
+
+def _execute(monitor: Monitor, text: str) -> None:
+    match = _CALLED.fullmatch(text)
+    if match is None:
+        raise VplusError("Missing argument", "EXECUTE program")
+    _check_idle(monitor)
+    task = monitor.task
+    monitor.call = parse_line(f"CALL {match[1]}").arguments
+    monitor.cycles = int(match[2] or 1)
+    task.frames = []
+    task.halted = False
+    task.always.update(OF_EXECUTE)
+    task.call(*monitor.call)
+    monitor.program = monitor.rounds()
+
+
+def _proceed(monitor: Monitor, _: str) -> None:
+    _check_idle(monitor)
+    if not monitor.task.frames:
+        raise VplusError("Program not executable")
+    monitor.program = monitor.rounds()
+
+
+def _retry(monitor: Monitor, text: str) -> None:
+    """Go on with the step that was interrupted."""
+    _proceed(monitor, text)
+    monitor.task.frame.place -= 1
+
+
+def _sure() -> Dialogue:
+    answer = yield Ask("Are you sure (Y/N)? ")
+    return answer.strip().upper().startswith("Y")
+
+
+def _abort(monitor: Monitor, _: str) -> Dialogue:
+    if monitor.program is not None and (yield from _sure()):
+        monitor.abort()
+
+
+def _kill(monitor: Monitor, _: str) -> None:
+    monitor.abort()
+    monitor.task.frames = []
+
+
+def _status(monitor: Monitor, _: str) -> Dialogue:
+    frames = monitor.task.frames
+    if not frames:
+        yield "Task 0  idle"
+    else:
+        state = "running" if monitor.program is not None else "stopped"
+        yield f"Task 0  {state}  {frames[-1].program.name}  step {frames[-1].place}"
+
+
+def _file(monitor: Monitor, text: str) -> Path:
+    if not _FILE.fullmatch(text):
+        raise VplusError("Illegal file name", plain(text))
+    return monitor.folder / (text if "." in text else f"{text}.v2")
+
+
+def _load(monitor: Monitor, text: str) -> Dialogue:
+    try:
+        loaded = load_programs(_file(monitor, text))
+    except LoadError as error:
+        yield from (f"*{fault}*" for fault in error.faults)
+        return
+    yield from (f".PROGRAM {name}" for name in loaded.programs)
+    monitor.task.memory.programs.update(loaded.programs)
+    monitor.task.memory.variables.update(loaded.variables)
+
+
+def _store(monitor: Monitor, text: str) -> None:
+    name, _, names = text.partition("=")
+    lines = [line for program in _programs(monitor, names) for line in _listing(program)]
+    for section, kinds in ((".LOCATIONS", _PLACES), (".REALS", float), (".STRINGS", str)):
+        data = [f"{cell.name} {_text(cell.value)}" for cell in _variables(monitor, "", kinds)]
+        lines += [section, *data, ".END"]
+    file = _file(monitor, name.strip())
+    if file.exists():
+        raise VplusError("File already exists", file.name)
+    file.write_text("\n".join(lines) + "\n", encoding="latin-1")
+
+
+def _delete(monitor: Monitor, text: str) -> Dialogue:
+    programs = _programs(monitor, text)
+    if (yield from _sure()):
+        for program in programs:
+            del monitor.task.memory.programs[program.name]
+
+
+def _zero(monitor: Monitor, _: str) -> Dialogue:
+    if (yield from _sure()):
+        monitor.task.memory.programs.clear()
+        monitor.task.memory.variables.clear()
+
+
+def _edit(monitor: Monitor, text: str) -> Dialogue:
+    programs = monitor.task.memory.programs
+    name = _name(text.partition("(")[0].strip())
+    present = programs.get(name)
+    lines = [*present.text] if present is not None else []
+    while True:
+        answer = yield Ask(f"{len(lines) + 1:5d} ? ")
+        if answer.strip().upper() == "E":
+            break
+        lines.append(answer)
+    head = text if "(" in text or present is None else _listing(present)[0].partition(" ")[2]
+    trial = Memory()
+    reader = read("\n".join([f".PROGRAM {head}", *lines, ".END"]), trial)
+    yield from (f"*{fault}* step {line - 1}" for line, fault in reader.faults)
+    if not reader.faults:
+        programs.update(trial.programs)
+
+
+def _enable(monitor: Monitor, text: str) -> Dialogue:
+    name = next((name for name in ("POWER", "CP", "DRY.RUN") if text and name.startswith(text.upper())), text)
+    yield from _do(monitor, f"ENABLE {name}")
+    yield ""
+
+
+COMMANDS: Final[dict[str, str | Command]] = {
+    "DO": _do,
+    "WHERE": _where,
+    "HERE": _here,
+    "POINT": _point,
+    "LISTL": _list_places,
+    "LISTR": _list_values,
+    "LISTS": _list_values,
+    "LISTP": _list_programs,
+    "DIRECTORY": _directory,
+    "EXECUTE": _execute,
+    "ABORT": _abort,
+    "KILL": _kill,
+    "PROCEED": _proceed,
+    "RETRY": _retry,
+    "STATUS": _status,
+    "LOAD": _load,
+    "STORE": _store,
+    "DELETE": _delete,
+    "EDIT": _edit,
+    "ENABLE": _enable,
+    "CALIBRATE": "BREAK",
+    "ZERO": _zero,
+    "SPEED": "SPEED {} MONITOR",
+    "PANIC": "BRAKE",
+    **{word: f"{word} {{}}" for word in ("TOOL", "BASE", "SIGNAL", "RESET", "PARAMETER", "DISABLE", "TYPE")},
+}
+"""Commands, of which the first fits that begins as what was typed; a text is an instruction."""
+
+
+# The line.
+
+
+def serve(
+    cell: Cell, folder: Path, announce: Callable[[str], None], port: int | None, baud: int | None, *, waits: bool
+) -> None:
+    """Serve the monitor until an interrupt.
+
+    Args:
+        cell: the arm, its signals and the time.
+        folder: where LOAD and STORE find files.
+        announce: gets the name of the line, once it is there.
+        port: of TCP on this machine; None for a pseudo-terminal.
+        baud: pace of the line, bits a second; None for no pace.
+        waits: whether the time of the cell waits for the wall clock here; that of running nodes does so by itself.
+    """
+    output = bytearray()
+    monitor = Monitor(cell, folder, lambda text: output.extend(text.encode("latin-1", "replace")))
+    if port is None:
+        terminal, user = os.openpty()
+        tty.setraw(user)
+        announce(os.ttyname(user))
+        _exchange(terminal, monitor, output, baud, waits)
+    else:
+        with socket.create_server(("127.0.0.1", port)) as server:
+            announce(f"socket://127.0.0.1:{server.getsockname()[1]}")
+            while True:
+                client, _ = server.accept()
+                with client:
+                    _exchange(client.fileno(), monitor, output, baud, waits)
+
+
+def _exchange(line: int, monitor: Monitor, output: bytearray, baud: int | None, waits: bool) -> None:
+    """Exchange bytes with a terminal, and let the time of the cell pass with the wall clock, until it has gone."""
+    cell = monitor.task.cell
+    most = _MOST_BYTES if baud is None else max(round(baud / _BITS * cell.period), 1)
+    output[:] = b"."
+    began = time.monotonic() - cell.time
+    while True:
+        late = time.monotonic() - began - cell.time if waits else cell.period
+        if baud is not None:
+            time.sleep(max(cell.period - late, 0.0))
+        ready, free, _ = select.select([line], [line] if output else [], [], max(cell.period - late, 0.0))
+        if ready:
+            try:
+                data = os.read(line, most)
+            except OSError:
+                data = b""
+            if not data:
+                return
+            monitor.receive(data)
+        for _ in range(min(int(late / cell.period), _MOST_BEATS)):
+            monitor.beat()
+        if late > _MOST_BEATS * cell.period:
+            began = time.monotonic() - cell.time
+        if free:
+            del output[: os.write(line, output[:most])]

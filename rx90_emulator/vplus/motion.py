@@ -1,31 +1,146 @@
-"""Motions of V+: joint-interpolated and straight ones, their speed over time, and how they follow on each other.
+"""The arm as V+ sees it, and its motions: joint-interpolated and straight ones, and how they follow on each other.
 
-A motion goes its way in a share from 0 to 1 with a ramp up, an even speed and a ramp down. On a continuous path the
-next one begins before the end of the one before, so that the shorter of the two ramps that meet lies within the other:
-their velocities add up, and the corner becomes a parabola.
+Joint values are in degrees from V+'s own zero, the world is where axes 1 and 2 meet. A motion goes its way in a share
+from 0 to 1 with a ramp up, an even speed and a ramp down. On a continuous path the next one begins before the end of
+the one before, so that the shorter of the two ramps that meet lies within the other: their velocities add up, and the
+corner becomes a parabola.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError
 from rx90_common.description.branch import Branch
-from rx90_emulator.vplus.arm import ProgrammedArm
-from rx90_emulator.vplus.errors import VplusError
-from rx90_emulator.vplus.transformations import axis_and_angle, inverse
+from rx90_common.description.inverse import SphericalWristArm, nearest_turn
+from rx90_common.description.kinematics import Pose, forward
+from rx90_common.description.robot import RobotModel, load_robot
+from rx90_common.description.rotations import axis_rotation
+from rx90_emulator.loop.setup import Setup
+from rx90_emulator.vplus.transformations import inverse, placed
+from rx90_emulator.vplus.values import Joints, VplusError
 
+_MM: Final = 1e3
+_SINGULAR: Final = 1e-7
+"""Sine of joint 5 below which joints 4 and 6 turn about one axis: joint 4 stays then."""
+_SLACK: Final = 1e-6  # rad, at the limits
+_TURN: Final = 2.0 * math.pi
 _STEP: Final = 1e-4  # s, of differences
 _GRID: Final = 8e-3  # s, between places on a line that are checked beforehand
 _MOST_PLACES: Final = 4000
 _RATE_TIME: Final = 0.3  # s in which the monitor speed goes from 0 to 100 %
 _OVERSHOOT: Final = 1.5  # of the peak acceleration of a ramp without jumps
-_NEVER: Final = math.inf
+_SHORTEST_WAY: Final = 1e-9
+
+
+class ProgrammedArm:
+    """Kinematics and limits of an arm that V+ programs move.
+
+    Attributes:
+        full: what 100 % of speeds and accelerations is.
+        robot: the arm without the tool of its setup.
+        max_acceleration: that set-points may ask of it, rad/s^2, shape (6,).
+        ready: joint angles of READY, rad, shape (6,).
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        solver = SphericalWristArm.from_chain(setup.robot.chain)
+        full = setup.controller.vplus
+        if solver is None or full is None:
+            raise ConfigError(
+                "no V+ on this arm; accepted: six joints with a spherical wrist, and a block vplus in controller.yaml"
+            )
+        self._solver = solver
+        self.full = full
+        self.robot: RobotModel = load_robot(setup.files.urdf) if setup.files is not None else setup.robot
+        self._world = np.array([0.0, 0.0, self.robot.chain.origin[:2, 2].sum()])  # m, in the base
+        self.max_acceleration = setup.controller.max_acceleration
+        self.ready = self.angles(Joints(full.ready))
+
+    def joints(self, q: Array) -> Joints:
+        """Return joint values, degrees, of joint angles, rad, shape (6,)."""
+        return Joints((np.degrees(q) + self.full.zero).tolist())
+
+    def angles(self, joints: Joints) -> Array:
+        """Return joint angles, rad, shape (6,), of joint values."""
+        return np.asarray(np.radians(np.subtract(joints, self.full.zero)))
+
+    def flange(self, q: Array) -> Array:
+        """Return the transformation of the flange in the robot's own world."""
+        pose = forward(self.robot.chain, q)
+        return placed(pose.rotation, _MM * (pose.position - self._world))
+
+    def with_tool(self, tool: Array) -> RobotModel:
+        """Return the arm up to the tip of a tool, a transformation from the flange, mm."""
+        chain = self.robot.chain
+        tip = chain.tcp_position + chain.tcp_rotation @ tool[:3, 3] / _MM
+        turned = np.ascontiguousarray(chain.tcp_rotation @ tool[:3, :3])
+        return replace(self.robot, chain=chain._replace(tcp_position=tip, tcp_rotation=turned))
+
+    def posture(self, q: Array) -> Branch:
+        """Return the configuration of joint angles; at a border that of RIGHTY, ABOVE and NOFLIP."""
+        reach = self._solver.forward_reach(self.robot.chain, q[None])[0]
+        elbow = self._solver.elbow_angle(q[None])[0]
+        return Branch(
+            "front" if reach > -_SLACK else "back",
+            "positive" if elbow > -_SLACK else "negative",
+            "positive" if q[4] > -_SLACK else "negative",
+        )
+
+    def solve(self, flanges: Array, posture: Branch, near: Array) -> Array:
+        """Return joint angles, rad, shape (n, 6), of flanges, shape (n, 4, 4).
+
+        Joints turn on from `near`, shape (6,), and from one row to the next.
+
+        Raises:
+            VplusError: for a place that is out of reach.
+        """
+        pose = Pose(flanges[:, :3, 3] / _MM + self._world, np.ascontiguousarray(flanges[:, :3, :3]))
+        rows = self._solver.solve(self.robot.chain, pose, posture)
+        missed = np.flatnonzero(np.isnan(rows).any(axis=1))
+        if len(missed):
+            distance = np.linalg.norm(flanges[missed[0], :3, 3]) / _MM
+            text = "Location too close" if distance < self._solver.reach / 2.0 else "Location out of range"
+            raise VplusError(text, f"{distance:.3f} m from the shoulder")
+        for row in rows:
+            if abs(np.sin(row[4])) < _SINGULAR and abs(row[4]) < 1.0:
+                row[5] += row[3] - near[3]
+                row[3] = near[3]
+            row[:] = nearest_turn(row, near)
+            near = row
+        return np.asarray(rows)
+
+    def solve_target(self, flange: Array, posture: Branch, near: Array) -> Array:
+        """Return the joint angles, rad, shape (6,), of a flange, where possible within the joints' ranges."""
+        q = self.solve(flange[None], posture, near)[0]
+        for joint in self.outside(q):
+            for turn in (-_TURN, _TURN):
+                if self.robot.lower[joint] <= q[joint] + turn <= self.robot.upper[joint]:
+                    q[joint] += turn
+        return np.asarray(q)
+
+    def outside(self, q: Array) -> list[int]:
+        """Return the joints that are outside of their ranges, counted from 0."""
+        inside = (q >= self.robot.lower - _SLACK) & (q <= self.robot.upper + _SLACK)
+        return [int(joint) for joint in np.flatnonzero(~inside)]
+
+    def check_range(self, q: Array) -> None:
+        """Check joint angles, rad, shape (6,).
+
+        Raises:
+            VplusError: naming the first joint outside of its range.
+        """
+        for joint in self.outside(q):
+            low = self.joints(self.robot.lower)[joint]
+            high = self.joints(self.robot.upper)[joint]
+            detail = f"{self.joints(q)[joint]:.3f} deg; accepted: {low:.1f} to {high:.1f}"
+            raise VplusError(f"Position out of range* Jt {joint + 1}", detail)
 
 
 @dataclass(frozen=True)
@@ -39,31 +154,26 @@ class Profile:
         smooth: whether the acceleration has no jumps.
     """
 
-    duration: float
+    duration: float = 0.0
     ramp_up: float = 0.0
     ramp_down: float = 0.0
     smooth: bool = False
 
     @classmethod
-    def fastest(cls, speed: float, up: float, down: float, smooth: bool, least: float) -> Profile:
+    def fastest(cls, speed: float, up: float, down: float, smooth: bool, least: float = 0.0) -> Profile:
         """Return the fastest profile with a speed, 1/s, and ramps, 1/s^2, that takes at least some time, s."""
-        if smooth:
-            up = up / _OVERSHOOT
-            down = down / _OVERSHOOT
-        peak = min(speed, math.sqrt(2.0 / (1.0 / up + 1.0 / down)))
-        ramp_up = peak / up
-        ramp_down = peak / down
+        steeper = _OVERSHOOT if smooth else 1.0
+        peak = min(speed, math.sqrt(2.0 / (steeper / up + steeper / down)))
+        ramp_up = steeper * peak / up
+        ramp_down = steeper * peak / down
         duration = 1.0 / peak + (ramp_up + ramp_down) / 2.0
-        return cls(duration, ramp_up, ramp_down, smooth).stretched(max(least / duration, 1.0))
-
-    def stretched(self, factor: float) -> Profile:
-        """Return the profile in so many times the time."""
-        return Profile(self.duration * factor, self.ramp_up * factor, self.ramp_down * factor, self.smooth)
+        slower = max(least / duration, 1.0)
+        return cls(slower * duration, slower * ramp_up, slower * ramp_down, smooth)
 
     def gentler(self, factor: float) -> Profile:
         """Return the profile with accelerations that are so many times smaller, at the same speed if the way allows."""
-        raised = (_OVERSHOOT if self.smooth else 1.0) * self.peak / factor
-        return Profile.fastest(self.peak, raised / self.ramp_up, raised / self.ramp_down, self.smooth, 0.0)
+        rate = (_OVERSHOOT if self.smooth else 1.0) * self.peak / factor
+        return Profile.fastest(self.peak, rate / self.ramp_up, rate / self.ramp_down, self.smooth)
 
     @property
     def peak(self) -> float:
@@ -74,16 +184,42 @@ class Profile:
         """Return the share that is done at times from the start, s, shape (n,)."""
         if self.duration == 0.0:
             return np.ones(len(times))
-        after = self.duration - times
-        even = times - self.ramp_up / 2.0
-        begun = self._ramp(np.clip(times / self.ramp_up, 0.0, 1.0)) * self.ramp_up
-        left = self._ramp(np.clip(after / self.ramp_down, 0.0, 1.0)) * self.ramp_down
-        rising = self.peak * np.where(times < self.ramp_up, begun, even)
-        return np.asarray(np.where(after < self.ramp_down, 1.0 - self.peak * left, rising))
+        late = times > self.duration - self.ramp_down
+        t = np.clip(np.where(late, self.duration - times, times), 0.0, self.duration)
+        ramp = np.where(late, self.ramp_down, self.ramp_up)
+        u = np.minimum(t / ramp, 1.0)
+        ramped = u**3 - u**4 / 2.0 if self.smooth else u * u / 2.0
+        share = self.peak * (ramp * ramped + np.maximum(t - ramp, 0.0))
+        return np.asarray(np.where(late, 1.0 - share, share))
 
-    def _ramp(self, u: Array) -> Array:
-        """Return the integral of the speed in a ramp, as shares of ramp and speed."""
-        return np.asarray(u**3 - u**4 / 2.0 if self.smooth else u * u / 2.0)
+
+class Line:
+    """A straight way of the tool; it turns about one axis, in step.
+
+    Args:
+        start: the tool in the robot's world, mm.
+        end: likewise.
+        tool: from the flange.
+        posture: the configuration, which stays.
+    """
+
+    def __init__(self, start: Array, end: Array, tool: Array, posture: Branch) -> None:
+        from scipy.spatial.transform import Rotation  # takes a while
+
+        self.start = start
+        self.to_flange = inverse(tool)
+        self.posture = posture
+        self.way = end[:3, 3] - start[:3, 3]
+        turn = Rotation.from_matrix(start[:3, :3].T @ end[:3, :3]).as_rotvec()
+        self.angle = float(np.linalg.norm(turn))
+        self._axis = turn / (self.angle or 1.0)
+
+    def tools(self, share: Array) -> Array:
+        """Return the tool at shares of the way, shape (n, 4, 4)."""
+        tools = np.tile(self.start, (len(share), 1, 1))
+        tools[:, :3, :3] = self.start[:3, :3] @ axis_rotation(self._axis, share * self.angle)
+        tools[:, :3, 3] += share[:, None] * self.way
+        return tools
 
 
 @dataclass(eq=False)
@@ -104,108 +240,90 @@ class Motion:
         begin: time on the path, s; infinite until it is known.
         began: simulated time, s.
         ended: simulated time, s.
+        error: largest distance of the tool from the path of its set-points, mm; NaN where it is not known.
     """
 
     kind: str
     where: str
     start: Array
     end: Array
-    profile: Profile
+    profile: Profile = Profile()
     line: Line | None = None
     tool: Array = field(default_factory=lambda: np.eye(4))
     continuous: bool = True
     nulls: bool = True
     at_start: list[Callable[[], None]] = field(default_factory=list)
-    begin: float = _NEVER
+    begin: float = math.inf
     began: float = math.nan
     ended: float = math.nan
+    error: float = math.nan
 
     @property
     def over(self) -> float:
         """Return the time on the path at which it ends, s."""
         return self.begin + self.profile.duration
 
-    def angles(self, times: Array) -> Array:
-        """Return joint angles, rad, shape (n, 6), at times on the path, s, of a motion of the joints."""
-        share = self.profile.share(np.clip(times - self.begin, 0.0, self.profile.duration))
-        return np.asarray(self.start + share[:, None] * (self.end - self.start))
 
+def plan(arm: ProgrammedArm, motion: Motion, chosen: Mapping[str, float], scaled: bool) -> None:
+    """Give a motion the fastest profile within the full speeds, and check its way.
 
-@dataclass(eq=False)
-class Line:
-    """A straight way of the tool; it turns about one axis, in step.
-
-    Attributes:
-        start: the tool in the robot's world, mm.
-        end: likewise.
-        to_flange: from the tool to the flange.
-        posture: the configuration, which stays.
-    """
-
-    start: Array
-    end: Array
-    to_flange: Array
-    posture: Branch
-
-    def __post_init__(self) -> None:
-        self.axis, self.angle = axis_and_angle(self.start[:3, :3].T @ self.end[:3, :3])
-
-    @property
-    def length(self) -> float:
-        """Return its length, mm."""
-        return float(np.linalg.norm(self.end[:3, 3] - self.start[:3, 3]))
-
-    def tools(self, share: Array) -> Array:
-        """Return the tool at shares of the way, shape (n, 4, 4)."""
-        x, y, z = self.axis
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        angle = (share * self.angle)[:, None, None]
-        turned = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
-        tools = np.tile(np.eye(4), (len(share), 1, 1))
-        tools[:, :3, :3] = self.start[:3, :3] @ turned
-        tools[:, :3, 3] = self.start[:3, 3] + share[:, None] * (self.end[:3, 3] - self.start[:3, 3])
-        return tools
-
-
-def check_line(arm: ProgrammedArm, motion: Motion) -> None:
-    """Check a line before it runs, with longer ramps where joints could not accelerate as it asks.
-
-    Its end becomes the joint angles that the line leads to.
+    Args:
+        arm: what moves.
+        motion: its way is known.
+        chosen: speeds and accelerations, percent, and DURATION, s.
+        scaled: whether the program speed scales accelerations, too.
 
     Raises:
-        VplusError: where the arm cannot reach, a joint leaves its range, or would be faster than it can be.
+        VplusError: where the arm cannot go.
     """
-    assert motion.line is not None
+    full = arm.full
     line = motion.line
-    profile = motion.profile
-    if profile.duration == 0.0:
+    if line is None:
+        arm.check_range(motion.end)
+        turns = np.degrees(np.abs(motion.end - motion.start)).tolist()
+        percents = [chosen["SPEED"]] * len(turns)
+        ways = [*zip(turns, full.joint_speed, full.joint_acceleration, percents, strict=True)]
+    else:
+        length = float(np.linalg.norm(line.way))
+        angle = math.degrees(line.angle)
+        ways = [(length, full.linear_speed, full.linear_acceleration, chosen["SPEED"])]
+        ways += [(angle, full.rotary_speed, full.rotary_acceleration, chosen["ROTARY"])]
+    ways = [row for row in ways if row[0] > _SHORTEST_WAY]
+    if not ways:
         return
-    count = int(np.clip(profile.duration / _GRID, 16, _MOST_PLACES)) + 1
-    times = np.linspace(0.0, profile.duration, count)
-    share = profile.share(times)
-    flanges = line.tools(share) @ line.to_flange
-    angles = arm.solve(flanges, line.posture, motion.start)
-    for place, row in zip(share, angles, strict=True):
-        if np.isnan(row).any():
-            raise VplusError("Location out of range", f"after {place * 100.0:.0f} % of the line")
+    fastest = min(speed * percent / way for way, speed, _, percent in ways) / 100.0
+    steepest = min(rate * (percent if scaled else 100.0) / way for way, _, rate, percent in ways) / 10_000.0
+    up = steepest * chosen["UP"]
+    down = steepest * chosen["DOWN"]
+    motion.profile = Profile.fastest(fastest, up, down, chosen["SMOOTH"] != 0.0, chosen["DURATION"])
+    if line is not None:
+        _check_line(arm, motion, line)
+
+
+def _check_line(arm: ProgrammedArm, motion: Motion, line: Line) -> None:
+    """Check a line before it runs, with longer ramps where joints could not accelerate as it asks."""
+    count = int(np.clip(motion.profile.duration / _GRID, 16, _MOST_PLACES)) + 1
+    times = np.linspace(0.0, motion.profile.duration, count)
+    angles = arm.solve(line.tools(motion.profile.share(times)) @ line.to_flange, line.posture, motion.start)
+    for row in angles:
         arm.check_range(row)
     speed = np.diff(angles, axis=0, prepend=motion.start[None]) / times[1]
-    excess = np.abs(speed) / arm.max_speed
+    excess = np.abs(speed) / arm.robot.max_velocity
     if excess.max() > 1.0:
-        place, joint = np.unravel_index(int(np.argmax(excess)), excess.shape)
-        asked = f"joint {joint + 1} would turn at {np.degrees(abs(speed[place, joint])):.0f} deg/s"
-        limit = f"accepted: up to {np.degrees(arm.max_speed[joint]):.0f}"
-        raise VplusError(
-            f"Soft envelope error* Mtr {joint + 1}", f"{asked} after {share[place] * 100.0:.0f} % of the line; {limit}"
-        )
+        joint = int(np.argmax(excess.max(axis=0)))
+        fastest = math.degrees(np.abs(speed[:, joint]).max())
+        limit = math.degrees(arm.robot.max_velocity[joint])
+        detail = f"the line asks for {fastest:.0f} deg/s; accepted: up to {limit:.0f}"
+        raise VplusError(f"Soft envelope error* Mtr {joint + 1}", detail)
     acceleration = np.diff(speed[1:], axis=0) / times[1]
-    needed = float((np.abs(acceleration) / arm.max_acceleration).max(initial=0.0))
-    motion.profile = profile.gentler(needed) if needed > 1.0 else profile
+    needed = float((np.abs(acceleration) / arm.max_acceleration).max())
+    if needed > 1.0:
+        motion.profile = motion.profile.gentler(needed)
     motion.end = angles[-1]
 
 
 class MotionQueue:
-    """One motion that runs, at most one that waits for it, and the knots of the set-points.
+    """One motion that runs, at most one that waits for it, and the set-points.
 
     Attributes:
         arm: what moves.
@@ -213,18 +331,19 @@ class MotionQueue:
         position: the set-points now, rad, shape (6,).
         monitor: the monitor speed, percent.
         done: the motions that have begun, in their order.
+        waiting: the motion that has not begun.
     """
 
     def __init__(self, arm: ProgrammedArm, q: Array) -> None:
         self.arm = arm
         self.destination = q
+        self.position = q
         self.monitor = 100.0
         self.done: list[Motion] = []
         self.waiting: Motion | None = None
         self._running: list[Motion] = []
         self._path_time = 0.0
         self._rate = 1.0
-        self.position = q
         self._stopping = False
 
     @property
@@ -237,22 +356,18 @@ class MotionQueue:
         self.destination = motion.end
         self.waiting = motion
         before = self._running[-1] if self._running else None
-        if before is not None and before.continuous and before.kind != "DELAY" != motion.kind:
+        if before is not None and before.continuous and motion.kind != "DELAY":
             overlap = min(before.profile.ramp_down, motion.profile.ramp_up)
             motion.begin = max(before.over - overlap, self._path_time)
 
     def begin_waiting(self, settled: bool, time: float) -> None:
         """Begin the motion that waits, if the one before it is over, and settled where it must be."""
-        if self.waiting is None or self._running:
-            return
-        if self.done and self.done[-1].nulls and not settled:
-            return
-        self.waiting.begin = self._path_time
-        self._begin(time)
+        is_due = settled or not self.done or not self.done[-1].nulls
+        if self.waiting is not None and not self._running and is_due:
+            self.waiting.begin = self._path_time
+            self._begin(self.waiting, time)
 
-    def _begin(self, time: float) -> None:
-        motion = self.waiting
-        assert motion is not None
+    def _begin(self, motion: Motion, time: float) -> None:
         motion.began = time
         for action in motion.at_start:
             action()
@@ -261,7 +376,7 @@ class MotionQueue:
         self.waiting = None
 
     def stop(self) -> None:
-        """End the motion at once: slow down on the path, and drop the rest of it."""
+        """End the motion at once: slow down on the path, and drop what is left of it."""
         self.waiting = None
         self._stopping = not self.at_end
 
@@ -276,24 +391,20 @@ class MotionQueue:
         Returns:
             Joint angles, rad, and their speeds, rad/s, shape (6,).
         """
-        wanted = 0.0 if self._stopping else self.monitor / 100.0
-        most = period / _RATE_TIME
+        rate = 0.0 if self._stopping else self.monitor / 100.0
         if self._running:
-            rate = self._rate + float(np.clip(wanted - self._rate, -most, most))
-        else:
-            rate = wanted  # the arm rests
-            self._rate = wanted
-        self._path_time += period * (self._rate + rate) / 2.0
+            most = period / _RATE_TIME
+            rate = self._rate + float(np.clip(rate - self._rate, -most, most))
+            self._path_time += period * (self._rate + rate) / 2.0
         self._rate = rate
         if self.waiting is not None and self.waiting.begin < self._path_time:
-            self._begin(time)
-        rows = self._angles(np.array([-_STEP, 0.0, _STEP]) + self._path_time)
+            self._begin(self.waiting, time)
+        rows = self._angles(self._path_time + np.array([-_STEP, 0.0, _STEP]))
         self.position = rows[1]
-        velocity = (rows[2] - rows[0]) / (2.0 * _STEP) * rate
         self._end(time + period)
         if not self._running:
-            velocity = np.zeros(6)
-        return self.position, velocity
+            return self.position, np.zeros(6)
+        return self.position, (rows[2] - rows[0]) / (2.0 * _STEP) * rate
 
     def _end(self, time: float) -> None:
         """Let go of motions that are over, or of all when the arm was to stop and stands."""
@@ -302,50 +413,35 @@ class MotionQueue:
             if motion.over <= self._path_time or stopped:
                 motion.ended = time
                 self._running.remove(motion)
-                if not stopped and not self._running:
-                    self.position = motion.end
+                self.position = self.position if stopped or self._running else motion.end
         if stopped:
             self._stopping = False
             self.destination = self.position
 
     def _angles(self, times: Array) -> Array:
         """Return joint angles, rad, shape (n, 6), at times on the path, s."""
+        angles = np.tile(self.position, (len(times), 1))
         if not self._running:
-            return np.tile(self.position, (len(times), 1))
-        first = self._running[0]
-        last = self._running[-1]
-        if first is last:
-            return self._along_line(first, times) if first.line is not None else first.angles(times)
-        if first.line is not None and last.line is not None:
-            found = self._round_corner(first, last, times)
-            if not np.isnan(found).any():
-                return found
-        parts = [
-            self._along_line(part, times) if part.line is not None else part.angles(times) for part in (first, last)
-        ]
-        return np.asarray(parts[0] + parts[1] - first.end)
+            return angles
+        shares = [motion.profile.share(times - motion.begin) for motion in self._running]
+        first = self._running[0].line
+        last = self._running[-1].line
+        if first is not last and first is not None and last is not None:
+            return self._corner(first.tools(shares[0]), last, shares[-1])
+        angles = np.tile(self._running[0].start, (len(times), 1))
+        for motion, share in zip(self._running, shares, strict=True):
+            if motion.line is None:
+                angles += share[:, None] * (motion.end - motion.start)
+            else:
+                angles += self._solved(motion.line, motion.line.tools(share)) - motion.start
+        return angles
 
-    def _along_line(self, motion: Motion, times: Array) -> Array:
-        assert motion.line is not None
-        share = motion.profile.share(np.clip(times - motion.begin, 0.0, motion.profile.duration))
-        return self._solved(motion.line, motion.line.tools(share))
-
-    def _round_corner(self, first: Motion, last: Motion, times: Array) -> Array:
-        """Return joint angles where two lines add up."""
-        assert first.line is not None
-        assert last.line is not None
-        ending = first.line.tools(first.profile.share(np.clip(times - first.begin, 0.0, first.profile.duration)))
-        beginning = last.line.tools(last.profile.share(np.clip(times - last.begin, 0.0, last.profile.duration)))
-        corner = last.line.start
-        tools = beginning.copy()
-        tools[:, :3, 3] += ending[:, :3, 3] - corner[:3, 3]
-        tools[:, :3, :3] = ending[:, :3, :3] @ (corner[:3, :3].T @ beginning[:, :3, :3])
-        return self._solved(last.line, tools)
+    def _corner(self, ending: Array, line: Line, share: Array) -> Array:
+        """Return joint angles where a line adds up with the end of another."""
+        tools = line.tools(share)
+        tools[:, :3, 3] += ending[:, :3, 3] - line.start[:3, 3]
+        tools[:, :3, :3] = ending[:, :3, :3] @ (line.start[:3, :3].T @ tools[:, :3, :3])
+        return self._solved(line, tools)
 
     def _solved(self, line: Line, tools: Array) -> Array:
         return self.arm.solve(tools @ line.to_flange, line.posture, self.position)
-
-
-def straight(arm: ProgrammedArm, start: Array, end: Array, tool: Array) -> Line:
-    """Return the straight way of a tool from joint angles, rad, shape (6,), to a place in the robot's world, mm."""
-    return Line(arm.flange(start) @ tool, end, inverse(tool), arm.posture(start))

@@ -1,361 +1,401 @@
-"""Files of V+: programs and data, read and checked before anything runs."""
+"""Files of V+: programs and data, read and checked before anything runs, line by line with the grammar."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from rx90_common.base.errors import ConfigError
+from lark import Lark, Transformer, v_args
+from lark import Tree as Rule
+from lark.exceptions import LarkError, UnexpectedInput
+
+from rx90_common.base.errors import ConfigError, warn_caller
 from rx90_common.base.quoting import plain, quoted
-from rx90_emulator.vplus import transformations
-from rx90_emulator.vplus.errors import LoadError
-from rx90_emulator.vplus.registry import CONTROL, FUNCTIONS, INSTRUCTIONS, REFUSED, RESERVED, Arity
-from rx90_emulator.vplus.syntax import Function, Line, Number, Reference, nodes, parse_line, plain_name
-from rx90_emulator.vplus.values import Cell, Joints, Scope, Value
+from rx90_emulator.vplus.functions import FUNCTIONS
+from rx90_emulator.vplus.instructions import INSTRUCTIONS, REFUSED
+from rx90_emulator.vplus.transformations import trans
+from rx90_emulator.vplus.tree import Function, Line, Memory, Program, Readings, Reference, Step, Tree
+from rx90_emulator.vplus.values import Format, Joints, LoadError, VplusError, bounded, element
 
 SUFFIXES: Final = (".v2", ".pg", ".lc", ".rv", ".st")
-_MOST_FAULTS = 20
-_LARGEST_LABEL = 65535
-_LARGEST_FILE = 20_000_000
-_HEADER = re.compile(r"\.PROGRAM\s+([a-z][\w.]*)\s*(?:\(([^)]*)\))?\s*$", re.IGNORECASE | re.ASCII)
-_PARAMETER = re.compile(r"([$#]?[a-z][\w.]*)\s*(\[[\s,]*\])?$", re.IGNORECASE | re.ASCII)
-_LABELLED = re.compile(r"(\d+)(?:\s+(.*))?$", re.ASCII)
-_CODE = re.compile(r'(?:"[^"]*"|[^";])*')
-_DATUM = re.compile(r"([$#]?[a-z][\w.]*)\s*(?:\[([\d,\s]*)\])?\s+(.+)$", re.IGNORECASE | re.ASCII)
-_LOOPS = ("FOR", "WHILE", "DO")
-_OPENED = {"IF THEN": "IF", "FOR": "FOR", "WHILE": "WHILE", "DO": "DO", "CASE": "CASE"}
+_NAME_LENGTH: Final = 15
+_LONGEST_LINE: Final = 255
+_LARGEST_LABEL: Final = 65535
+_LARGEST_FILE: Final = 20_000_000
+_LOCATION: Final = 6
+_BASES: Final = {"B": 2, "O": 8, "H": 16}
+_RESERVED: Final = "TO BY OF STEP THEN DO AND OR XOR NOT MOD COM ALWAYS LAST POS DX DY DZ BELOW"
+_DECLARATIONS: Final = ("AUTO", "LOCAL", "GLOBAL")
+_LOOPS: Final = ("FOR", "WHILE", "DO")
+_INSIDE: Final = {
+    "IF_THEN": ("ELSE", "END"),
+    "CASE": ("VALUE", "ANY", "END"),
+    "FOR": ("END",),
+    "WHILE": ("END",),
+    "DO": ("UNTIL",),
+}
+"""What may stand in the level of a block, its end last."""
 
 
-@dataclass
-class Step:
-    """A line of a program.
+# Lines.
 
-    Attributes:
-        line: of the file.
-        instruction: None for a blank one.
-        start: of the block that it belongs to, the number of the step that opens it; -1 for none.
-        end: of that block, or of the loop that it leaves or goes on with.
-        branches: of a block, in their order: ELSE, or each VALUE and ANY.
+
+def plain_name(name: str) -> str:
+    """Return a name as it counts."""
+    return name.lower()[:_NAME_LENGTH]
+
+
+def _function(name: str, *arguments: Tree) -> Function:
+    entry = FUNCTIONS.get(name.upper())
+    if entry is None:
+        raise SyntaxError(f"*Undefined program or variable name* {name}(")
+    entry.check(name.upper(), len(arguments))
+    return Function(name.upper(), entry, arguments)
+
+
+def _line(word: str, *arguments: Tree, modifiers: tuple[str, ...] = ()) -> Line:
+    word = word.upper()
+    if word.rstrip("()=") in REFUSED:
+        raise SyntaxError(f"{word} is not there: {REFUSED[word.rstrip('()=')]}")
+    entry = INSTRUCTIONS.get(word)
+    if entry is None:
+        raise SyntaxError("*Unknown instruction*")
+    entry.check(word, len(arguments))
+    return Line(word, entry, arguments, modifiers)
+
+
+@v_args(inline=True)
+class _Builder(Transformer[Any]):
+    """Makes the trees, rule by rule of the grammar."""
+
+    def number(self, token: str) -> Any:
+        if token[0] == "'":
+            return float(ord(token[1]))
+        if token[0] == "^":
+            return float(int(token[2:], _BASES[token[1].upper()]))
+        return bounded(float(token))
+
+    def integer(self, token: str) -> float:
+        return float(token)
+
+    def signed(self, number: float) -> float:
+        return -number
+
+    def text(self, token: str) -> str:
+        return str(token[1:-1])
+
+    def format(self, token: str) -> Format:
+        return Format(token[1:].upper())
+
+    def modifier(self, token: str) -> str:
+        return token.upper()
+
+    def parts(self, *parts: Tree) -> tuple[Tree, ...]:
+        return parts
+
+    def late_parts(self, *parts: Tree) -> tuple[Tree, ...]:
+        return (None, *parts)
+
+    def reference(self, name: str, index: Any) -> Tree:
+        entry = FUNCTIONS.get(name.upper())
+        is_function = index is None and entry is not None and not entry.kinds
+        return _function(name) if is_function else Reference(plain_name(name), index)
+
+    def function(self, name: str, arguments: Any) -> Tree:
+        return _function(name, *(arguments or ()))
+
+    def operation(self, left: Tree, sign: str, right: Tree) -> Tree:
+        return _function(sign, left, right)
+
+    def prefixed(self, sign: str, operand: Tree) -> Tree:
+        return _function(sign, 0.0, operand) if sign in "+-" else _function(sign, operand)
+
+    def assignment(self, target: Any, value: Tree) -> Line:
+        if isinstance(target, Function) or target.name.upper() in _RESERVED.split():
+            raise SyntaxError(f"{target.name.lower()} is a reserved word")
+        return _line("=", value, target)
+
+    def command(self, word: str, arguments: Any, *modifiers: str) -> Line:
+        return _line(word, *(arguments or ()), modifiers=modifiers)
+
+    def setting(self, word: str, arguments: Any, value: Tree) -> Line:
+        return _line(f"{word}=", value, *arguments)
+
+    def unit_command(self, word: str, unit: Any, arguments: Any) -> Line:
+        return _line(f"{word}()", (unit or [None])[0], *(arguments or ()))
+
+    def declaration(self, word: str, _: str, *names: Tree) -> Line:
+        return _line(word, *names)
+
+    def call(self, name: str, arguments: Any) -> Line:
+        return _line("CALL", plain_name(name), *(arguments or ()))
+
+    def calls(self, name: Tree, arguments: Any) -> Line:
+        return _line("CALLS", name, *(arguments or ()))
+
+    def step(self, label: str | None, line: Any = None) -> tuple[int, Line | None]:
+        if isinstance(line, Rule):  # an instruction of control: its word is in the name of the rule
+            parts: list[Any] = line.children
+            line = _line(str(line.data).strip("_"), *parts)
+        return int(label[:9]) if label else -1, line
+
+    def header(self, name: str, parameters: Any) -> Program:
+        names = tuple(parameter.name for parameter in parameters or ())
+        return Program(plain_name(name), names, automatic=set(names))
+
+    def datum(self, place: Reference, *parts: Any) -> tuple[Reference, Any]:
+        if len(parts) == 1:
+            return place, parts[0]
+        if len(parts) != _LOCATION:
+            raise SyntaxError(f"{len(parts)} numbers; accepted: 1, or {_LOCATION} of a location")
+        return place, Joints(parts) if place.name[0] == "#" else trans(*parts)
+
+
+@cache
+def _parser(reading: str) -> Lark:
+    grammar = Path(__file__).with_name("grammar.lark").read_text(encoding="utf-8")
+    starts = ["step", "header", "datum"]
+    grammar += f"\n?expression: {reading}\n"
+    return Lark(grammar, parser="lalr", start=starts, maybe_placeholders=True, transformer=_Builder())
+
+
+def parse(text: str, start: str, logic_first: bool = True) -> Any:
+    """Return what a line has: of a program's `step` its label and instruction, of a `header`, or of a `datum`.
+
+    Raises:
+        SyntaxError: saying what the line has and where.
     """
+    if len(text) > _LONGEST_LINE:
+        raise SyntaxError(f"a line of {len(text)} characters; accepted: up to {_LONGEST_LINE}")
+    try:
+        return _parser("logic_first" if logic_first else "relations_first").parse(text, start=start)
+    except UnexpectedInput as error:
+        left = "" if "$END" in str(error).partition("\n")[0] else text[error.column - 1 :][:20]
+        raise SyntaxError(f"{left!r} is not expected" if left.strip() else "the line ends too early") from None
+    except (LarkError, VplusError) as error:
+        raise SyntaxError(str(error)) from None
 
-    line: int
-    instruction: Line | None
-    start: int = -1
-    end: int = -1
-    branches: list[int] = field(default_factory=list)
 
+def parse_line(text: str) -> Line:
+    """Return the instruction in a line without a label.
 
-@dataclass
-class Program:
-    """A program.
-
-    Attributes:
-        name: in lower case, as it counts.
-        parameters: names of its arguments.
-        steps: its lines.
-        labels: numbers of steps by their label.
-        automatic: names that are new at each call.
-        local: the scope of its LOCAL variables.
-        own: their names.
-        text: its lines as they stand in the file.
+    Raises:
+        SyntaxError: saying what the line has and where, also if it has no instruction.
     """
-
-    name: str
-    parameters: tuple[str, ...]
-    steps: list[Step] = field(default_factory=list)
-    labels: dict[int, int] = field(default_factory=dict)
-    automatic: set[str] = field(default_factory=set)
-    local: Scope = field(default_factory=Scope)
-    own: set[str] = field(default_factory=set)
-    text: list[str] = field(default_factory=list)
+    label, line = parse(text, "step")
+    if label >= 0 or line is None:
+        raise SyntaxError("*Missing argument*")
+    return line  # type: ignore[no-any-return]  # of the parser
 
 
-@dataclass
-class Memory:
-    """Programs and global variables, as the controller has them in its memory."""
-
-    programs: dict[str, Program] = field(default_factory=dict)
-    variables: Scope = field(default_factory=Scope)
+# Files.
 
 
-def load(place: Path) -> Memory:
-    """Read a file, or all files of V+ in a folder.
+def load_programs(place: Path | str, readings: Readings | None = None) -> Memory:
+    """Read a file of V+, or all of them in a folder, and warn of what depends on a reading.
 
     Raises:
         ConfigError: for what cannot be read.
         LoadError: naming every fault with file and line.
     """
-    memory = Memory()
+    memory = Memory(readings or Readings())
     faults: list[str] = []
-    for file in _files(place):
+    warnings: list[str] = []
+    for file in _files(Path(place)):
         try:
             if file.stat().st_size > _LARGEST_FILE:
                 raise ConfigError(f"{plain(file)}: more than {_LARGEST_FILE:,} bytes; accepted: a file of V+")
-            content = file.read_text(encoding="latin-1")
+            reader = read(file.read_text(encoding="latin-1"), memory)
         except OSError as error:
             raise ConfigError(f"{plain(file)}: {error.strerror}; accepted: a file of V+") from error
-        faults += [f"{plain(file)}:{line}: {fault}" for line, fault in read(content, memory)]
-    faults += [f"{plain(place)}: {fault}" for fault in _calls(memory)]
+        faults += [f"{plain(file)}:{line}: {fault}" for line, fault in reader.faults]
+        warnings += [f"{plain(file)}:{line}: {warning}" for line, warning in reader.warnings]
+    faults += [f"{plain(place)}: {fault}" for fault in _call_faults(memory)]
     if faults:
-        raise LoadError([*faults[:_MOST_FAULTS], *(["further faults"] if len(faults) > _MOST_FAULTS else [])])
+        raise LoadError(faults)
+    warn_caller(warnings)
     return memory
 
 
 def _files(place: Path) -> list[Path]:
     if not place.is_dir():
         return [place]
-    found = sorted(file for file in place.iterdir() if file.suffix.lower() in SUFFIXES)
-    if not found:
+    files = sorted(file for file in place.iterdir() if file.suffix.lower() in SUFFIXES)
+    if not files:
         raise ConfigError(f"{plain(place)}: no file of V+; accepted: {', '.join(SUFFIXES)}")
-    return found
+    return files
 
 
-def read(content: str, memory: Memory) -> list[tuple[int, str]]:
-    """Add the programs and data of a file to the memory; return its faults with their lines."""
-    reader = _Reader(memory)
-    for number, text in enumerate(content.replace("\f", "\n").replace("\r", "").replace("\x1a", "").split("\n"), 1):
-        reader.take(number, _CODE.match(text.strip())[0].strip(), text)  # type: ignore[index]  # matches nothing, too
-    reader.finish(number)
-    return sorted(reader.faults)
+def read(content: str, memory: Memory) -> Reader:
+    """Add the programs and data of a file to the memory; return its reader with faults and warnings."""
+    reader = Reader(memory)
+    lines = content.replace("\f", "\n").replace("\r", "").replace("\x1a", "").split("\n")
+    for reader.line, text in enumerate(lines, 1):
+        try:
+            reader.take(text)
+        except (SyntaxError, VplusError, RecursionError) as error:
+            reader.note(f"{quoted(text.strip()[:60])}: {error}")
+    reader.close(".END")
+    return reader
 
 
-class _Reader:
-    """Takes the lines of a file one after the other."""
+class Reader:
+    """Takes the lines of a file one after the other.
+
+    Args:
+        memory: where programs and data go.
+
+    Attributes:
+        line: number of the present one.
+        faults: with their lines.
+        warnings: of lines whose meaning depends on a reading.
+    """
 
     def __init__(self, memory: Memory) -> None:
         self.memory = memory
+        self.line = 0
         self.faults: list[tuple[int, str]] = []
-        self.program: Program | None = None
-        self.section = ""
-        self.began = 0
+        self.warnings: list[tuple[int, str]] = []
+        self._program: Program | None = None
+        self._section = ""
 
-    def fault(self, line: int, text: str) -> None:
-        self.faults.append((line, text))
+    def note(self, fault: str) -> None:
+        """Note a fault of the present line."""
+        self.faults.append((self.line, fault))
 
-    def take(self, line: int, code: str, text: str) -> None:
-        head = code.split(maxsplit=1)[0].upper() if code.startswith(".") else ""
-        if head == ".PROGRAM":
-            self.close(line, "a program without .END")
-            self.open_program(line, code)
-        elif head == ".END":
-            if not self.section:
-                self.fault(line, ".END without a program")
-            self.close(line, "")
-        elif head in (".LOCATIONS", ".REALS", ".STRINGS"):
-            self.close(line, "a section without .END")
-            self.section = head
-        elif self.program is not None:
-            self.program.text.append(text)
-            self.take_step(line, code)
-        elif self.section and code:
-            self.take_datum(line, code)
-        elif code:
-            self.fault(line, f"{quoted(code[:30])} stands outside of a program; accepted: .PROGRAM name(...)")
+    def take(self, text: str) -> None:
+        """Take a line.
 
-    def finish(self, line: int) -> None:
-        self.close(line, "a program without .END")
+        Raises:
+            SyntaxError: saying what it has.
+        """
+        code = text.strip()
+        head = code.partition(" ")[0].upper()
+        if head.startswith(".END"):
+            if not self._section:
+                self.note(".END without a program")
+            self._finish()
+        elif head in (".PROGRAM", ".LOCATIONS", ".REALS", ".STRINGS"):
+            self.close(head)
+            self._section = head
+            if head == ".PROGRAM":
+                self._program = Program()
+                self._program = parse(code, "header")
+                if self._program.name in self.memory.programs:
+                    self.note(f"program {self._program.name} stands twice")
+        elif self._program is not None:
+            self._program.text.append(text)
+            self._take_step(self._program, code)
+        elif code and code[0] != ";":
+            if not self._section:
+                raise SyntaxError("outside of a program; accepted: .PROGRAM name(...)")
+            place, value = parse(code, "datum")
+            index = tuple(int(part) for part in place.index or () if part is not None)
+            element(self.memory.variables, place.name, index).store(value)
 
-    def open_program(self, line: int, code: str) -> None:
-        self.section = "program"
-        self.began = line
-        header = _HEADER.match(code)
-        if header is None:
-            self.fault(line, f"{quoted(code[:60])}; accepted: .PROGRAM name(argument, ...)")
-            self.program = Program("", ())
+    def close(self, head: str) -> None:
+        """End what has no .END of its own, with a fault."""
+        if self._section:
+            self.note(f"{head} in {self._section}: its .END is missing")
+        self._finish()
+
+    def _finish(self) -> None:
+        if self._program is not None:
+            self.faults += _resolve(self._program)
+            if self._program.name:
+                self.memory.programs[self._program.name] = self._program
+        self._program = None
+        self._section = ""
+
+    def _take_step(self, program: Program, code: str) -> None:
+        place = len(program.steps)
+        step = Step(self.line, _opening(code), start=place, target=place + 1)
+        program.steps.append(step)
+        logic_first = self.memory.readings.logic_before_relations
+        label, instruction = parse(code, "step", logic_first)
+        if label >= 0:
+            if label > _LARGEST_LABEL or label in program.labels:
+                self.note(f"label {label}; accepted: each once, 0 to {_LARGEST_LABEL}")
+            program.labels[label] = place
+        if instruction is None:
             return
-        parameters = [part.strip() for part in (header[2] or "").split(",") if part.strip()]
-        matches = [_PARAMETER.match(part) for part in parameters]
-        for part, match in zip(parameters, matches, strict=True):
-            if match is None:
-                self.fault(line, f"argument {quoted(part)}; accepted: a name, with [] for an array")
-        names = tuple(plain_name(match[1]) for match in matches if match is not None)
-        self.program = Program(plain_name(header[1]), names)
-        if self.program.name in self.memory.programs:
-            self.fault(line, f"program {self.program.name} stands twice")
+        step.instruction = instruction
+        step.word = instruction.word
+        if step.word in _DECLARATIONS:
+            self._declare(program, instruction)
+        if parse(code, "step", not logic_first) != (label, instruction):
+            reading = "read by logic_before_relations (docs/reference/vplus.md)"
+            self.warnings.append((self.line, f"a comparison beside AND, OR or XOR without brackets; {reading}"))
 
-    def close(self, line: int, missing: str) -> None:
-        if self.section and missing:
-            self.fault(line, f"{missing}; it began in line {self.began}")
-        if self.program is not None:
-            self.faults += _resolve(self.program)
-            if self.program.name:
-                self.memory.programs[self.program.name] = self.program
-        self.program = None
-        self.section = ""
-
-    def take_step(self, line: int, code: str) -> None:
-        program = self.program
-        assert program is not None
-        labelled = _LABELLED.match(code)
-        if labelled is not None:
-            label = int(labelled[1][:9])
-            code = labelled[2] or ""
-            if label > _LARGEST_LABEL:
-                self.fault(line, f"label {label}; accepted: 0 to {_LARGEST_LABEL}")
-            if label in program.labels:
-                self.fault(line, f"label {label} stands twice")
-            program.labels[label] = len(program.steps)
-        instruction = None
-        if code:
-            try:
-                instruction = checked_line(code)
-                self.declare(instruction)
-            except SyntaxError as error:
-                self.fault(line, f"{quoted(code[:60])}: {error}")
-                instruction = _opening(code)
-        program.steps.append(Step(line, instruction))
-
-    def declare(self, instruction: Line) -> None:
-        if instruction.word not in ("AUTO", "LOCAL", "GLOBAL"):
-            return
-        program = self.program
-        assert program is not None
-        done = [step.instruction.word for step in program.steps if step.instruction is not None]
-        if any(word not in ("AUTO", "LOCAL", "GLOBAL") for word in done):
-            raise SyntaxError("stands behind an executable line; accepted: before it")
-        names = {part.name for part in instruction.arguments if isinstance(part, Reference)}
-        if instruction.word == "AUTO":
+    def _declare(self, program: Program, line: Line) -> None:
+        if any(step.word not in ("", *_DECLARATIONS) for step in program.steps):
+            self.note(f"{line.word} stands behind an executable line")
+        names = {argument.name for argument in line.arguments if isinstance(argument, Reference)}
+        if line.word == "AUTO":
             program.automatic |= names
-        elif instruction.word == "LOCAL":
-            program.own |= names
-
-    def take_datum(self, line: int, code: str) -> None:
-        match = _DATUM.match(code)
-        try:
-            if match is None:
-                raise ValueError("accepted: a name and its value")
-            name = plain_name(match[1])
-            value = _datum(self.section, name, match[3])
-            scope = self.memory.variables
-            index = match[2]
-            cell: Cell
-            if index is None:
-                cell = scope.cell(name)
-            else:
-                cell = scope.table(name).cell(name, tuple(int(part) for part in index.split(",")))
-            cell.value = value
-        except Exception as error:  # of numbers and indices alike
-            self.fault(line, f"{quoted(code[:60])}: {error}")
+        elif line.word == "LOCAL":
+            program.lasting |= names
 
 
-def _datum(section: str, name: str, text: str) -> Value:
-    if section == ".STRINGS":
-        if name[0] != "$" or len(text) < 2 or text[0] != '"' or text[-1] != '"':
-            raise ValueError('accepted: $name "text"')
-        return text[1:-1]
-    numbers = [float(part) for part in text.split()]
-    if not all(abs(number) < 1e30 for number in numbers):
-        raise ValueError("accepted: finite numbers")
-    wanted = 1 if section == ".REALS" else 6
-    if len(numbers) != wanted:
-        raise ValueError(f"{len(numbers)} numbers; accepted: {wanted}")
-    if section == ".REALS":
-        return numbers[0]
-    return Joints(numbers) if name[0] == "#" else transformations.trans(*numbers)
-
-
-def checked_line(code: str) -> Line:
-    """Return the instruction in a line, with names and numbers of arguments checked.
-
-    Raises:
-        SyntaxError: saying what is accepted.
-    """
-    word = code.split(maxsplit=1)[0].upper()
-    if word in REFUSED:
-        raise SyntaxError(f"{word} is not there: {REFUSED[word]}")
-    instruction = parse_line(code)
-    _check(instruction)
-    return instruction
-
-
-def _check(instruction: Line) -> None:
-    word = instruction.word
-    if word == "=" and isinstance(target := instruction.arguments[0], Reference) and target.name.upper() in RESERVED:
-        raise SyntaxError(f"{target.name} is a reserved word")
-    arity = INSTRUCTIONS[word].arity if word in INSTRUCTIONS else None
-    if arity is None and word not in CONTROL:
-        raise SyntaxError("*Unknown instruction*")
-    if arity is not None:
-        _check_count(word, len(instruction.arguments), arity)
-    called = instruction.arguments[0] if word in ("CALL", "CALLS") else None
-    for node in nodes((instruction.arguments, instruction.value, instruction.unit)):
-        if isinstance(node, Function) and node is not called:
-            function = FUNCTIONS.get(node.name.upper())
-            if function is None:
-                raise SyntaxError(f"*Undefined program or variable name* {node.name}(")
-            _check_count(node.name.upper(), len(node.arguments), function.arity)
-
-
-def _check_count(name: str, given: int, arity: Arity) -> None:
-    least, most = arity
-    if not least <= given <= most:
-        accepted = str(least) if least == most else f"{least} to {most}"
-        raise SyntaxError(f"{name} has {given} arguments; accepted: {accepted}")
-
-
-def _opening(code: str) -> Line | None:
-    """Return a line in place of a faulty one that opens a block: its END is no fault."""
-    words = code.upper().split()
-    word = "IF THEN" if words[0] == "IF" and words[-1] == "THEN" else words[0]
-    return Line(word) if word in _OPENED else None
+def _opening(code: str) -> str:
+    """Return the word of a line that opens a block, even if the line is faulty: its END is no fault."""
+    words = [*code.upper().split(), ""]
+    word = "IF_THEN" if words[0] == "IF" and words[-2] == "THEN" else words[0]
+    return word if word in _INSIDE else ""
 
 
 def _resolve(program: Program) -> Iterator[tuple[int, str]]:
-    """Find the ends of blocks and the targets of jumps; yield faults with their lines."""
-    blocks: list[tuple[str, int]] = []
-    leaving: list[tuple[Step, int]] = []
-    for place, step in enumerate(program.steps):
-        word = step.instruction.word if step.instruction is not None else ""
-        if word in _OPENED:
-            blocks.append((_OPENED[word], place))
-        elif word in ("END", "UNTIL", "ELSE", "VALUE", "ANY"):
-            fits = {"END": ("IF", "FOR", "WHILE", "CASE"), "UNTIL": ("DO",), "ELSE": ("IF",)}.get(word, ("CASE",))
-            if not blocks or blocks[-1][0] not in fits:
-                yield step.line, f"{word} without {' or '.join(fits)}"
+    """Find the targets of jumps; yield faults with their lines."""
+    steps = program.steps
+    blocks: list[int] = []
+    for place, step in enumerate(steps):
+        number = step.instruction.arguments[-1:] if step.instruction is not None else ()
+        if step.word in _INSIDE:
+            blocks.append(place)
+        elif step.word in ("ELSE", "VALUE", "ANY", "END", "UNTIL"):
+            if not blocks or step.word not in _INSIDE[steps[blocks[-1]].word]:
+                yield step.line, f"{step.word} without its block"
                 continue
-            start = blocks[-1][1]
-            step.start = start
-            if word in ("END", "UNTIL"):
-                blocks.pop()
-                for inner in (program.steps[start], step, *(program.steps[k] for k in program.steps[start].branches)):
-                    inner.end = place
-            else:
-                program.steps[start].branches.append(place)
-        elif word in ("EXIT", "NEXT"):
-            loops = [start for kind, start in blocks if kind in _LOOPS]
-            count = _whole(step, 1)
+            step.start = blocks[-1]
+            steps[step.start].branches.append(place)
+            if step.word in ("END", "UNTIL"):
+                _close(steps, blocks.pop(), place)
+        elif step.word in ("EXIT", "NEXT"):
+            loops = [start for start in blocks if steps[start].word in _LOOPS]
+            count = int(number[0] or 1)
             if not 1 <= count <= len(loops):
-                yield step.line, f"{word} {count} within {len(loops)} loops"
+                yield step.line, f"{step.word} {count} within {len(loops)} loops"
                 continue
-            leaving.append((step, loops[-count]))
-        elif word in ("GOTO", "IF GOTO") and _whole(step, -1) not in program.labels:
-            yield step.line, f"there is no label {_whole(step, -1)}"
-    for kind, start in blocks:
-        yield program.steps[start].line, f"{kind} without END"
-    for step, start in leaving:
-        step.end = program.steps[start].end
+            steps[loops[-count]].branches.append(place)
+        elif step.word in ("GOTO", "IF_GOTO"):
+            if number[0] not in program.labels:
+                yield step.line, f"there is no label {number[0]:g}"
+            step.target = program.labels.get(int(number[0]), 0)
+    for start in blocks:
+        word = steps[start].word
+        yield steps[start].line, f"{word.partition('_')[0]} without {_INSIDE[word][-1]}"
 
 
-def _whole(step: Step, missing: int) -> int:
-    """Return the whole number that an instruction ends with: a label, or how many loops."""
-    assert step.instruction is not None
-    last = step.instruction.arguments[-1] if step.instruction.arguments else None
-    return int(last.value) if isinstance(last, Number) else missing
+def _close(steps: list[Step], start: int, end: int) -> None:
+    """Set the targets of the steps of a block."""
+    opening = steps[start]
+    opening.target = end + 1
+    for place in opening.branches:
+        steps[place].target = end if steps[place].word == "NEXT" else end + 1
+        if steps[place].word == "ELSE":
+            opening.target = place + 1
+    if opening.word in _LOOPS:
+        steps[end].target = start if opening.word == "WHILE" else start + 1
 
 
-def _calls(memory: Memory) -> Iterable[str]:
+def _call_faults(memory: Memory) -> Iterator[str]:
     """Yield the faults of calls with more arguments than the program has."""
     for program in memory.programs.values():
         for step in program.steps:
-            if step.instruction is None or step.instruction.word != "CALL":
-                continue
-            called = step.instruction.arguments[0]
-            if not isinstance(called, Function) or called.name not in memory.programs:
-                continue
-            most = len(memory.programs[called.name].parameters)
-            if len(called.arguments) > most:
-                given = len(called.arguments)
-                yield f"line {step.line}: {called.name} is called with {given} arguments; accepted: up to {most}"
+            name, *given = step.instruction.arguments if step.instruction and step.word == "CALL" else ("",)
+            called = memory.programs.get(str(name))
+            if called is not None and len(given) > len(called.parameters):
+                accepted = f"accepted: up to {len(called.parameters)}"
+                yield f"line {step.line}: {called.name} is called with {len(given)} arguments; {accepted}"

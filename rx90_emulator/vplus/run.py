@@ -3,65 +3,59 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import DivergenceError, SupervisionError, warn_caller
-from rx90_common.base.models import Model
-from rx90_common.description.kinematics import polyline_error, tip_position
+from rx90_common.base.errors import DivergenceError, SupervisionError
+from rx90_common.description.kinematics import tip_position
+from rx90_controller.lines.task import SETTLING
+from rx90_emulator.loop.line import followed_accuracy
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.vplus import language  # noqa: F401 - enters the instructions
-from rx90_emulator.vplus.arm import ProgrammedArm
-from rx90_emulator.vplus.cell import PERIOD, Cell, Engine
-from rx90_emulator.vplus.errors import VplusError
-from rx90_emulator.vplus.motion import Motion, MotionQueue
-from rx90_emulator.vplus.operators import bounded
-from rx90_emulator.vplus.program import Memory, load
-from rx90_emulator.vplus.readings import LOGIC, RELATIONS, Readings
-from rx90_emulator.vplus.signals import Change, Signals
-from rx90_emulator.vplus.syntax import Number, Operation, Text, nodes, plain_name
+from rx90_emulator.vplus.cell import PERIOD, Cell, Change, Engine
+from rx90_emulator.vplus.motion import Motion
+from rx90_emulator.vplus.program import plain_name
 from rx90_emulator.vplus.task import Task
+from rx90_emulator.vplus.tree import Memory
+from rx90_emulator.vplus.values import VplusError
 
-_SHORTEST_STEP = 1e-7  # m, of the tool between set-points of a path
-_SETTLING = 0.1  # s, after a motion, that its path error counts
 
+@dataclass(frozen=True)
+class Options:
+    """How a program is run.
 
-class Options(Model):
-    """How a program is run."""
+    Attributes:
+        monitor_speed: percent, above 0 up to 100.
+        period: from one planned set-point to the next, s.
+        idle: the longest time without a motion, s.
+        longest: the longest run, s.
+        record_fast: whether the series on base ticks are kept, too.
+    """
 
-    monitor_speed: Annotated[float, Field(gt=0.0, le=100.0, description="Monitor speed, percent.")] = 100.0
-    period: Annotated[float, Field(gt=0.0, description="From one planned set-point to the next, s.")] = PERIOD
-    idle: Annotated[float, Field(gt=0.0, description="The longest time without a motion, s.")] = 60.0
-    longest: Annotated[float, Field(gt=0.0, description="The longest run, s.")] = 300.0
-    readings: Readings = Readings()
+    monitor_speed: float = 100.0
+    period: float = PERIOD
+    idle: float = 60.0
+    longest: float = 300.0
     record_fast: bool = False
 
 
-class MotionRow(NamedTuple):
-    """A row of the table of motions.
+class Track(NamedTuple):
+    """Where the arm was during a motion.
 
     Attributes:
-        where: program and line.
-        kind: the instruction.
-        begin: simulated time, s.
-        end: likewise.
-        asked: the time that it takes alone, from rest to rest, at a monitor speed of 100 %, s.
-        error: largest distance of the tool from the path of its set-points, mm.
+        times: s, shape (n,).
+        asked: the tool by the set-points, m, shape (n, 3).
+        measured: likewise.
     """
 
-    where: str
-    kind: str
-    begin: float
-    end: float
-    asked: float
-    error: float
+    times: Array
+    asked: Array
+    measured: Array
 
 
 @dataclass(eq=False)
@@ -69,82 +63,39 @@ class ProgramRun:
     """What a program did.
 
     Attributes:
-        result: the series of the run; None if no time passed.
-        motions: the motions, in their order.
-        changes: of outputs.
+        cell: where it ran.
         lines: what TYPE showed, with times, s.
-        joints: joint values at the end, degrees.
-        set_joints: those of the set-points.
-        time: simulated time, s.
+        result: the series of the run; None if no time passed, or on running nodes.
+        tracks: of the motions, in their order; none without series.
         error: what stopped it; None if it ran to its end.
     """
 
-    result: RunResult | None
-    motions: list[Motion]
-    arm: ProgrammedArm
-    changes: list[Change] = field(default_factory=list)
+    cell: Cell
     lines: list[tuple[float, str]] = field(default_factory=list)
-    joints: tuple[float, ...] = ()
-    set_joints: tuple[float, ...] = ()
-    time: float = 0.0
+    result: RunResult | None = None
+    tracks: list[Track] = field(default_factory=list)
     error: VplusError | None = None
 
-    def table(self) -> list[MotionRow]:
-        """Return the table of motions."""
-        return [
-            MotionRow(
-                motion.where, motion.kind, motion.began, motion.ended, motion.profile.duration, self._error(motion)
-            )
-            for motion in self.motions
-        ]
+    @property
+    def motions(self) -> list[Motion]:
+        """Return the motions, in their order."""
+        return self.cell.queue.done
 
-    def paths(self, motion: Motion) -> tuple[Array, Array]:
-        """Return the tool's places by set-points and by measurement during a motion, m, shape (n, 3)."""
-        if self.result is None or math.isnan(motion.ended):
-            return np.empty((0, 3)), np.empty((0, 3))
-        later = [other.began for other in self.motions if other.began >= motion.ended]
-        end = min([motion.ended + _SETTLING, *later])
-        period = self.result.setup.rates.position_period
-        rows = slice(round(motion.began / period), round(end / period))
-        chain = self.arm.chain_to(motion.tool)
-        slow = self.result.slow
-        return tip_position(chain, slow.reference[rows, 0]), tip_position(chain, slow.joint_states[rows, 0])
-
-    def _error(self, motion: Motion) -> float:
-        asked, measured = self.paths(motion)
-        if not len(asked):
-            return math.nan
-        steps = np.linalg.norm(np.diff(asked, axis=0), axis=1)
-        corners = asked[np.concatenate([[True], steps > _SHORTEST_STEP])]
-        if len(corners) < 2:
-            return 1e3 * float(np.linalg.norm(measured - asked, axis=1).max())
-        near = np.cumsum(np.concatenate([[0], steps > _SHORTEST_STEP]))
-        return 1e3 * float(polyline_error(measured, corners, near).perpendicular.max())
-
-
-def reading_warnings(memory: Memory) -> list[str]:
-    """Return a warning for each line whose meaning depends on how operators bind."""
-    warnings = []
-    for program in memory.programs.values():
-        for step in program.steps:
-            for node in nodes(step.instruction):
-                if isinstance(node, Operation) and {*LOGIC} & {*node.operators} and {*RELATIONS} & {*node.operators}:
-                    warnings.append(
-                        f"line {step.line} of {program.name}: a comparison beside AND, OR or XOR without brackets; "
-                        "read by logic_before_relations (docs/reference/vplus.md)"
-                    )
-    return warnings
-
-
-def load_programs(place: Path | str) -> Memory:
-    """Read a file of V+ or a folder of them, and warn of what depends on a reading.
-
-    Raises:
-        LoadError: naming every fault of the files.
-    """
-    memory = load(Path(place))
-    warn_caller(reading_warnings(memory))
-    return memory
+    def keep(self, result: RunResult) -> None:
+        """Take the series of the run, and find where the arm was during each motion."""
+        self.result = result
+        begins = [motion.began for motion in self.motions]
+        period = result.setup.rates.position_period
+        for motion in self.motions:
+            ended = self.cell.time if math.isnan(motion.ended) else motion.ended
+            end = min([ended + SETTLING, *(time for time in begins if time >= ended)])
+            rows = slice(round(motion.began / period), round(end / period))
+            times = result.times[rows]
+            robot = self.cell.arm.with_tool(motion.tool)
+            angles = [series[rows, 0] for series in (result.slow.reference, result.slow.joint_states)]
+            accuracy = followed_accuracy(robot, times, angles[1], times, angles[0])
+            motion.error = 1e3 * accuracy.worst if len(accuracy.times) else math.nan
+            self.tracks.append(Track(times, tip_position(robot.chain, angles[0]), tip_position(robot.chain, angles[1])))
 
 
 def run_program(
@@ -153,7 +104,7 @@ def run_program(
     name: str = "",
     *,
     arguments: Sequence[str] = (),
-    inputs: Sequence[Change] = (),
+    inputs: Iterable[Change] = (),
     options: Options | None = None,
     show: Callable[[str, float, bool], None] | None = None,
 ) -> ProgramRun:
@@ -172,76 +123,65 @@ def run_program(
         What it did, also where an error has stopped it.
     """
     options = options or Options()
-    arm = ProgrammedArm(setup)
-    engine = Engine(setup, arm.ready, options.period, record_fast=options.record_fast)
-    cell = Cell(arm, engine, MotionQueue(arm, arm.ready), options.period, Signals([*inputs]))
-    run = run_in(cell, memory, name, arguments, options, show)
+    engine = Engine(setup, options.period, record_fast=options.record_fast)
+    cell = Cell(setup, engine, inputs, options.period)
+    if show is not None:
+        cell.show = show
+    run = run_in(cell, memory, name, arguments, options)
     if cell.beats:
-        run.result = engine.result()
+        run.keep(engine.result())
     return run
 
 
-def run_in(
-    cell: Cell,
-    memory: Memory,
-    name: str,
-    arguments: Sequence[str],
-    options: Options,
-    show: Callable[[str, float, bool], None] | None = None,
-) -> ProgramRun:
+def run_in(cell: Cell, memory: Memory, name: str, arguments: Sequence[str], options: Options) -> ProgramRun:
     """Run a program in a cell; as `run_program`, without the series."""
-    cell.queue.monitor = options.monitor_speed
-    run = ProgramRun(None, cell.queue.done, cell.arm, cell.signals.changes)
-    begun = [""]
+    run = ProgramRun(cell)
+    show = cell.show
+    begun: list[str] = []
 
     def collect(text: str, time: float, ends: bool) -> None:
-        begun[0] += text
+        begun.append(text)
         if ends:
-            run.lines.append((time, begun[0]))
-            begun[0] = ""
-        if show is not None:
-            show(text, time, ends)
+            run.lines.append((time, "".join(begun)))
+            begun.clear()
+        show(text, time, ends)
 
     cell.show = collect
-    task = Task(memory, cell, options.readings)
+    cell.queue.monitor = options.monitor_speed
     try:
-        _execute(task, _first(memory, name), arguments, options)
+        if not memory.programs:
+            raise VplusError("Program not executable", "the files have no program")
+        task = Task(memory, cell)
+        task.call(plain_name(name) or next(iter(memory.programs)), *map(_constant, arguments))
+        _execute(task, options)
     except VplusError as error:
         run.error = error
-    run.time = cell.time
-    run.joints = cell.arm.joints(cell.drive.position())
-    run.set_joints = cell.arm.joints(cell.queue.destination)
     return run
 
 
-def _first(memory: Memory, name: str) -> str:
-    if name:
-        return plain_name(name)
-    if not memory.programs:
-        raise VplusError("Program not executable", "the files have no program")
-    return next(iter(memory.programs))
-
-
-def _constant(word: str) -> Number | Text:
+def _constant(word: str) -> float | str:
     try:
-        return Number(bounded(float(word)))
+        number = float(word)
     except ValueError:
-        return Text(word)
+        return word
+    if not math.isfinite(number):
+        raise VplusError("Illegal value", f"argument {word}")
+    return number
 
 
-def _execute(task: Task, name: str, arguments: Sequence[str], options: Options) -> None:
+def _execute(task: Task, options: Options) -> None:
     """Run a task until it ends or takes too long."""
-    task.call(name, tuple(_constant(word) for word in arguments))
     cell = task.cell
     moved = 0.0
     try:
         for what in task.run():
             if not cell.queue.at_end:
                 moved = cell.time
+            where = f"stopped in {task.frame.program.name}, line {task.step.line}" if task.frames else "stopped"
             if cell.time - moved >= options.idle:
-                raise _too_long(task, f"no motion for {options.idle:g} s, waiting for {what}")
+                raise VplusError("Time-out", f"no motion for {options.idle:g} s, waiting for {what}; {where}")
             if cell.time >= options.longest:
-                raise _too_long(task, f"the run takes more than {options.longest:g} s")
+                raise VplusError("Time-out", f"the run takes more than {options.longest:g} s; {where}")
             _beat(cell)
     except VplusError:
         while not cell.queue.at_end and cell.time < options.longest:  # the motion under way ends
@@ -257,6 +197,44 @@ def _beat(cell: Cell) -> None:
         raise VplusError("Soft envelope error", f"at {cell.time:.3f} s: {error}") from error
 
 
-def _too_long(task: Task, what: str) -> VplusError:
-    where = f"in {task.frame_of().program.name}, line {task.line}" if task.frames else "at the end"
-    return VplusError("Time-out", f"{what}; stopped {where}")
+# What is told of a run.
+
+
+def table_text(run: ProgramRun) -> str:
+    """Return the table of motions as text."""
+    lines = [f"{'line':<20} motion    begin s    end s  taken s  alone s  error mm  joints, degrees"]
+    for motion in run.motions:
+        times = [motion.began, motion.ended, motion.ended - motion.began, motion.profile.duration]
+        shown = " ".join(f"{time:8.3f}" for time in times)
+        ends = [" ".join(f"{joint:.1f}" for joint in run.cell.arm.joints(q)) for q in (motion.start, motion.end)]
+        lines.append(f"{motion.where:<20} {motion.kind:<8} {shown} {motion.error:9.4f}  {' -> '.join(ends)}")
+    return "\n".join(lines)
+
+
+def page(run: ProgramRun, name: str) -> str:
+    """Return a page on a run."""
+    from rx90_common.report.charts import chart
+    from rx90_common.report.page import render_page
+    from rx90_common.report.style import COLOURS
+
+    speed = chart("", "time, s", "speed of the set-points, mm/s")
+    distance = chart("", "time, s", "off the set-point, mm")
+    for times, asked, measured in run.tracks:
+        rates = np.linalg.norm(np.diff(asked, axis=0), axis=1) / np.diff(times)
+        speed.line(times[1:], 1e3 * rates, color=COLOURS[0])
+        distance.line(times, 1e3 * np.linalg.norm(measured - asked, axis=1), color=COLOURS[1])
+    return render_page(__package__ or "", "program.html.j2", run=run, name=name, plots=[speed, distance])
+
+
+def draw(run: ProgramRun, file: Path) -> None:
+    """Write a picture: where the tool went, seen from above and from the side, by set-points and by measurement."""
+    from rx90_common.report.picture import picture
+    from rx90_common.report.style import COLOURS
+
+    with picture(file) as figure:
+        for panel, up in zip(figure.subplots(1, 2), (1, 2), strict=True):
+            for _, *places in run.tracks:
+                for place, colour, style in zip(places, COLOURS, "-:", strict=False):
+                    panel.plot(1e3 * place[:, 0], 1e3 * place[:, up], color=colour, linestyle=style)
+            panel.set(xlabel="x, mm", ylabel=f"{'xyz'[up]}, mm", title="set-points solid, measured dotted")
+            panel.set_aspect("equal", adjustable="datalim")

@@ -9,34 +9,48 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final, TypeAlias
+
+import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_emulator.vplus.cell import Cell
-from rx90_emulator.vplus.errors import VplusError
-from rx90_emulator.vplus.operators import bounded_text, location, operate, prefix, real
-from rx90_emulator.vplus.program import Memory, Program
-from rx90_emulator.vplus.readings import Readings
-from rx90_emulator.vplus.registry import CONTROL, FUNCTIONS, INSTRUCTIONS
-from rx90_emulator.vplus.settings import Settings
-from rx90_emulator.vplus.syntax import (
-    Argument,
-    Compound,
-    Expression,
-    Format,
-    Function,
-    Line,
-    Number,
-    Operation,
-    Prefixed,
-    Reference,
-    Text,
-)
-from rx90_emulator.vplus.values import Cell as Variable
-from rx90_emulator.vplus.values import Scope, Table, Value
+from rx90_common.description.branch import Branch
+from rx90_emulator.vplus import cell as surroundings
+from rx90_emulator.vplus.transformations import inverse
+from rx90_emulator.vplus.tree import Function, Line, Memory, Program, Reference, Step, Tree
+from rx90_emulator.vplus.values import KINDS, Cell, Joints, Scope, Table, Value, VplusError, bounded, element
 
-DEEPEST: Final = 1000
+Waits: TypeAlias = Iterator[str]
+"""What is waited for, in a word, once in each beat."""
+_DEEPEST: Final = 1000
 """Calls within each other."""
+_TYPES: Final[dict[str, Any]] = {
+    "text": str,
+    "name": str,
+    "place": np.ndarray,
+    "location": (np.ndarray, Joints),
+    "plain": (float, str),
+    "folded": (float, str),
+    "any": object,
+}
+"""Types of the values that kinds of arguments stand for; all others are reals."""
+_RANGES: Final = {"percent": (0.001, 1000.0), "seconds": (0.0, 86_400.0), "joint": (1.0, 6.0)}
+OF_EXECUTE: Final = {"SPEED": 100.0, "ROTARY": 100.0, "DURATION": 0.0, "CP": 1.0, "NULL": 1.0, "FINE": 100.0}
+"""What EXECUTE sets for all motions."""
+
+
+@dataclass
+class Loop:
+    """A FOR loop: its variable, its limit, and what is added in each turn."""
+
+    variable: Cell
+    limit: float
+    increment: float
+
+    def begin_turn(self, value: float) -> bool:
+        """Set the variable; return whether it is within the limit."""
+        self.variable.store(value)
+        return (value - self.limit) * self.increment <= 0.0
 
 
 @dataclass
@@ -45,15 +59,15 @@ class Frame:
 
     Attributes:
         program: its steps.
-        place: number of the next step.
         scope: its arguments and AUTO variables.
-        loops: limit and step of its FOR loops, by their first step.
+        place: number of the next step.
+        loops: FOR loops by their first step.
     """
 
     program: Program
+    scope: Scope = field(default_factory=dict)
     place: int = 0
-    scope: Scope = field(default_factory=Scope)
-    loops: dict[int, tuple[float, float]] = field(default_factory=dict)
+    loops: dict[int, Loop] = field(default_factory=dict)
 
 
 @dataclass
@@ -64,13 +78,13 @@ class Reaction:
         program: its name.
         priority: above that of what runs, or it waits.
         stops: whether it ends the motion under way.
-        was: how the signal was, or None.
+        was: how the signal was.
     """
 
     program: str
     priority: float
     stops: bool
-    was: bool = False
+    was: bool
 
 
 class Task:
@@ -79,40 +93,65 @@ class Task:
     Args:
         memory: programs and global variables.
         cell: the arm, its signals and the time.
-        readings: how uncertain parts of the language are read.
 
     Attributes:
-        settings: speeds and switches of motions.
+        always: SPEED and ROTARY (percent), DURATION (s), CP, NULL, FINE (percent), UP, DOWN (percent) and SMOOTH of the
+            ramps, for all motions.
+        next: likewise, for the next motion alone.
+        at_start: what the next motion does when it begins.
+        wanted: of LEFTY, ABOVE, FLIP and their opposites the newest ones, by their part.
+        switches: system switches that are on.
+        tool: from the flange.
+        base: where the robot stands.
+        hand_time: s that the hand takes.
         timers: the time at which each TIMER was 0, s.
         reactions: by signal.
         lock: priority up to which reactions wait.
         on_error: the program that an error calls; empty for none.
         error: number of the newest error.
         lot: the source of RANDOM.
+        halted: whether HALT has ended the program for good.
+        frames: the programs within each other.
+        step: the newest step.
     """
 
-    def __init__(self, memory: Memory, cell: Cell, readings: Readings) -> None:
+    def __init__(self, memory: Memory, cell: surroundings.Cell) -> None:
         self.memory = memory
+        self.readings = memory.readings
         self.cell = cell
-        self.readings = readings
-        self.settings = Settings()
+        self.arm = cell.arm
+        self.queue = cell.queue
+        self.always = {**OF_EXECUTE, "UP": 100.0, "DOWN": 100.0, "SMOOTH": 0.0}
+        self.next: dict[str, float] = {}
+        self.at_start: list[Callable[[], None]] = []
+        self.wanted: dict[str, str] = {}
+        self.switches = {"POWER", "CP", "ROBOT", "MESSAGES", "SCALE.ACCEL", "UPPER"}
+        self.tool = np.eye(4)
+        self.base = np.eye(4)
+        self.hand_time = 0.05
         self.timers: dict[int, float] = {}
         self.reactions: dict[int, Reaction] = {}
         self.lock = 0.0
         self.on_error = ""
         self.error = 0
         self.lot = random.Random(0)
-        self.paused = False
-        self.switches = dict.fromkeys(("POWER", "CP", "ROBOT", "MESSAGES", "SCALE.ACCEL", "UPPER"), True)
+        self.halted = False
         self.frames: list[Frame] = []
-        self.line = 0
-        self._levels = readings.levels()
-        self._budget = self._steps_in_a_beat()
-
-    def _steps_in_a_beat(self) -> int:
-        return max(round(self.cell.period / self.readings.step_time), 1)
+        self.step = Step(0)
+        self._steps = 0
 
     # Programs.
+
+    @property
+    def frame(self) -> Frame:
+        """Return the program that runs."""
+        return self.frames[-1]
+
+    @property
+    def line(self) -> Line:
+        """Return the newest instruction."""
+        assert self.step.instruction is not None
+        return self.step.instruction
 
     def program(self, name: str) -> Program:
         """Return a program.
@@ -124,238 +163,231 @@ class Task:
             raise VplusError("Undefined program or variable name", name)
         return self.memory.programs[name]
 
-    def call(self, name: str, arguments: tuple[Argument, ...] = ()) -> None:
+    def call(self, name: str, *arguments: Tree) -> None:
         """Go on in another program, which gets variables by reference and expressions by value.
 
         Raises:
             VplusError: if there is none, for arguments that it does not take, and for too many calls in each other.
         """
-        program = self.program(name)
+        program = self.program(name.lower())
         if len(arguments) > len(program.parameters):
             raise VplusError("Illegal value", f"{len(arguments)} arguments of {name}")
-        if len(self.frames) >= DEEPEST:
-            raise VplusError("Not enough program stack space", f"{DEEPEST} calls within each other")
-        frame = Frame(program)
+        if len(self.frames) >= _DEEPEST:
+            raise VplusError("Not enough program stack space", f"{_DEEPEST} calls within each other")
+        scope: Scope = {}
         for parameter, argument in zip(program.parameters, arguments, strict=False):
-            self._bind(frame.scope, parameter, argument)
-        self.frames.append(frame)
+            if isinstance(argument, Reference) and argument.index and not any(map(_is_given, argument.index)):
+                scope[parameter] = self.table(argument)
+            elif isinstance(argument, Reference):
+                scope[parameter] = {(): self.cell_of(argument)}
+            elif argument is not None:
+                element(scope, parameter, ()).store(self.value(argument))
+        self.frames.append(Frame(program, scope))
 
-    def _bind(self, scope: Scope, parameter: str, argument: Argument) -> None:
-        if argument is None:
-            return
-        if isinstance(argument, Format):
-            raise VplusError("Illegal value", f"a format /{argument.text} as an argument")
-        if isinstance(argument, Reference) and argument.index is not None and not any(argument.index):
-            scope.tables[parameter] = self.table(argument.name)
-        elif isinstance(argument, Reference) and not self._is_function(argument):
-            scope.cells[parameter] = self.cell_of(argument)
-        else:
-            scope.cell(parameter).store(parameter, self.value(argument))
+    def jump(self, condition: bool = True) -> None:
+        """Go on at the target of the step, if a condition holds."""
+        if condition:
+            self.frame.place = self.step.target
 
-    def frame_of(self) -> Frame:
-        """Return the program that runs."""
-        return self.frames[-1]
-
-    def run(self) -> Iterator[str]:
+    def run(self) -> Waits:
         """Run until the programs are through; yield what is waited for, once in each beat.
 
         Raises:
             VplusError: naming program, step and line.
         """
         yield from self.walk()
-        yield from self.until(lambda: self.cell.queue.at_end, "the end of the motion")
+        yield from self.until(lambda: self.queue.at_end, "the end of the motion")
 
-    def walk(self) -> Iterator[str]:
-        """Run until the programs are through, and a motion may be under way."""
-        return self._run(0)
-
-    def _run(self, depth: int) -> Iterator[str]:
-        """Run until only so many programs are on their way."""
+    def walk(self, depth: int = 0) -> Waits:
+        """Run until only so many programs are on their way; a motion may be under way then."""
         while len(self.frames) > depth:
-            frame = self.frames[-1]
+            frame = self.frame
             if frame.place >= len(frame.program.steps):
                 self.frames.pop()
                 continue
-            step = frame.program.steps[frame.place]
-            self.line = step.line
+            self.step = frame.program.steps[frame.place]
             frame.place += 1
-            if step.instruction is None:
-                continue
-            if self._budget <= 0:
+            self._steps += 1
+            if self._steps * self.readings.step_time >= self.cell.period:
                 yield "the processor"
-                self._budget = self._steps_in_a_beat()
-            self._budget -= 1
+                self._steps = 0
             try:
-                word = step.instruction.word
-                if word in INSTRUCTIONS:
-                    waits = INSTRUCTIONS[word].run(self, step.instruction)
-                    if waits is not None:
-                        yield from waits
-                else:
-                    CONTROL[word](self, frame, step)
-                if self.reactions:
-                    yield from self._react()
-            except RecursionError:
-                raise self._located(VplusError("Expression too complex"), frame) from None
-            except VplusError as error:
-                self.error = error.number
-                if not self.on_error or error.where:
-                    raise self._located(error, frame) from None
-                routine = self.on_error
-                self.on_error = ""
-                self.call(routine)
+                yield from self._do()
+            except (VplusError, RecursionError) as error:
+                self._fail(error, frame)
 
-    def _located(self, error: VplusError, frame: Frame) -> VplusError:
-        if not error.where:
-            error.where = f"Program task 0 stopped at {frame.program.name}, step {frame.place}, line {self.line}"
-        return error
+    def _do(self) -> Waits:
+        """Carry out a step, and react to signals behind it."""
+        if self.step.instruction is not None:
+            entry = self.line.entry
+            waits = entry.action(self, *self.values(entry.kinds, self.line.arguments))
+            if waits is not None:
+                yield from waits
+            yield from self._react()
 
-    def until(self, condition: Callable[[], bool], what: str) -> Iterator[str]:
+    def _fail(self, error: VplusError | RecursionError, frame: Frame) -> None:
+        """Call the program that an error calls, or end with the error."""
+        if isinstance(error, RecursionError):
+            error = VplusError("Expression too complex")
+        self.error = error.number
+        if error.where or not self.on_error:
+            place = f"{frame.program.name}, step {frame.place}, line {self.step.line}"
+            error.where = error.where or f"Program task 0 stopped at {place}"
+            raise error from None
+        routine = self.on_error
+        self.on_error = ""
+        self.call(routine)
+
+    def until(self, condition: Callable[[], bool], what: str) -> Waits:
         """Wait until a condition holds, and react to signals meanwhile."""
         while not condition():
             yield what
-            if self.reactions:
-                yield from self._react()
+            yield from self._react()
 
-    def _react(self) -> Iterator[str]:
+    def _react(self) -> Waits:
         """Call the programs of signals that have changed, if their priority lets them."""
         for signal, reaction in [*self.reactions.items()]:
-            now = self.cell.signals.is_on(signal)
+            now = self.cell.is_on(signal)
             due = now and not reaction.was
             if due and reaction.priority <= self.lock:
                 continue  # later
             reaction.was = now
             if due:
                 if reaction.stops:
-                    self.cell.queue.stop()
-                before = self.lock
+                    self.queue.stop()
+                before = self.step, self.lock
                 self.lock = reaction.priority
                 depth = len(self.frames)
                 self.call(reaction.program)
-                yield from self._run(depth)
-                self.lock = before
+                yield from self.walk(depth)
+                self.step, self.lock = before
 
-    # Variables.
+    # Variables and values.
 
     def _scope(self, name: str) -> Scope:
-        if self.frames:
-            frame = self.frames[-1]
-            if name in frame.program.automatic or name in frame.program.parameters:
-                return frame.scope
-            if name in frame.program.own:
-                return frame.program.local
-        return self.memory.variables
+        program = self.frame.program if self.frames else Program()
+        if name in program.automatic:
+            return self.frame.scope
+        return program.local if name in program.lasting else self.memory.variables
 
-    def table(self, name: str) -> Table:
-        """Return an array."""
-        return self._scope(name).table(name)
+    def reference(self, tree: Tree) -> Reference:
+        """Return a tree that is a variable.
 
-    def cell_of(self, reference: Reference) -> Variable:
-        """Return a variable or an element of an array."""
-        if reference.index is None:
-            return self._scope(reference.name).cell(reference.name)
-        index = tuple(0 if part is None else int(real(self.value(part))) for part in reference.index)
-        return self.table(reference.name).cell(reference.name, index)
+        Raises:
+            VplusError: if it is an expression.
+        """
+        if not isinstance(tree, Reference):
+            raise VplusError("Illegal value", "an expression; accepted: a variable")
+        return tree
 
-    # Values.
+    def table(self, tree: Tree) -> Table:
+        """Return an array or, with the index () alone, a plain variable."""
+        name = self.reference(tree).name
+        return self._scope(name).setdefault(name, {})
 
-    def value(self, tree: Expression) -> Value:
+    def cell_of(self, tree: Tree, further: int = 0) -> Cell:
+        """Return a variable or an element of an array, or the element so many indices further."""
+        reference = self.reference(tree)
+        index = [self.taken("integer", part or 0.0) for part in reference.index or ()]
+        if index:
+            index[-1] += further
+        return element(self._scope(reference.name), reference.name, tuple(index))
+
+    def value(self, tree: Tree) -> Value:
         """Return the value of an expression.
 
         Raises:
             VplusError: if it has none.
         """
-        if isinstance(tree, Number | Text):
-            return tree.value
-        if isinstance(tree, Reference):
-            return self._of_reference(tree)
         if isinstance(tree, Function):
-            return self._of_function(tree.name.upper(), tree.arguments)
-        if isinstance(tree, Prefixed):
-            return prefix(tree.operator, self.value(tree.operand))
-        if isinstance(tree, Compound):
-            return self._compound(tree)
-        return self._of_operation(tree)
-
-    def _is_function(self, reference: Reference) -> bool:
-        name = reference.name.upper()
-        return reference.index is None and name in FUNCTIONS and FUNCTIONS[name].arity[0] == 0
-
-    def _of_reference(self, reference: Reference) -> Value:
-        if self._is_function(reference):
-            return self._of_function(reference.name.upper(), ())
-        value = self.cell_of(reference).value
+            return self._of_function(tree)
+        value = self.cell_of(tree).value if isinstance(tree, Reference) else tree
         if value is None:
-            raise VplusError("Undefined value", reference.name)
+            name = f"{tree.name}" if isinstance(tree, Reference) else ""
+            raise VplusError("Undefined value" if name else "Missing argument", name)
         return value
 
-    def _of_function(self, name: str, arguments: tuple[Argument, ...]) -> Value:
-        function = FUNCTIONS.get(name)
-        if function is None:
-            raise VplusError("Undefined program or variable name", name.lower())
-        if function.takes_trees:
-            result: Value = function.value(self, *arguments)
-        else:
-            result = function.value(self, *(self.item(argument) for argument in arguments))
-        return result
+    def _of_function(self, tree: Function) -> Value:
+        values = self.values(tree.entry.kinds, tree.arguments)
+        task = [self] if tree.entry.of_task else []
+        try:
+            return bounded(tree.entry.action(*task, *values))
+        except ZeroDivisionError:
+            text = "Division by zero"
+        except OverflowError:
+            text = "Arithmetic overflow"
+        except (ValueError, TypeError):
+            text = "Illegal value"
+        raise VplusError(text, f"{tree.name} of {', '.join(str(value) for value in values if np.isscalar(value))}")
 
-    def item(self, argument: Argument) -> Value | Format:
-        """Return the value of an argument, or the format that it is.
+    def values(self, kinds: list[str], arguments: tuple[Tree, ...]) -> list[Any]:
+        """Return what an action gets for arguments; the last kind may come any number of times."""
+        repeated = [*kinds, *kinds[-1:] * len(arguments)]
+        return [self.taken(kind, argument) for kind, argument in zip(repeated, arguments, strict=False)]
 
-        Raises:
-            VplusError: if it is left out.
-        """
-        if argument is None:
-            raise VplusError("Missing argument")
-        return argument if isinstance(argument, Format) else self.value(argument)
+    def taken(self, kind: str, argument: Tree) -> Any:
+        """Return what an action gets for an argument: the value of a kind.
 
-    def real(self, argument: Argument, missing: float | None = None) -> float:
-        """Return a real argument, or what stands for one that is left out.
-
-        Raises:
-            VplusError: if it is none.
-        """
-        if argument is None and missing is not None:
-            return missing
-        item = self.item(argument)
-        if isinstance(item, Format):
-            raise VplusError("Illegal value", f"a format /{item.text}")
-        return real(item)
-
-    def _compound(self, tree: Compound) -> Array:
-        whole: Array | None = None
-        for part in tree.parts:
-            place = location(self.value(part))
-            whole = place if whole is None else whole @ place
-        assert whole is not None
-        return whole
-
-    def _of_operation(self, tree: Operation) -> Value:
-        """Return the value of operands in a row: the operators that bind most go first."""
-        values = [self.value(operand) for operand in tree.operands]
-        signs = list(tree.operators)
-        for level in self._levels:
-            place = 0
-            while place < len(signs):
-                if signs[place] in level:
-                    both = operate(signs[place], values[place], values[place + 1], self.readings.ignore_case)
-                    values[place : place + 2] = [both]
-                    del signs[place]
-                else:
-                    place += 1
-        result = values[0]
-        return bounded_text(result) if isinstance(result, str) else result
-
-    def argument(self, line: Line, place: int) -> Argument:
-        """Return an argument of an instruction, None if it is left out."""
-        return line.arguments[place] if place < len(line.arguments) else None
-
-    def variable(self, argument: Argument) -> Reference:
-        """Return the variable that an argument must be.
+        Args:
+            kind: `real`, `integer`, `percent`, `seconds`, `joint`, `text`, `place` (a transformation), `location` (that
+                or a precision point), `plain` (a real or a string), `folded` (the same, as comparisons see it),
+                `variable` (its cell), `name` (in upper case), `tree` (no value), `any`; with `?` or `*` behind it.
+            argument: None where it is left out.
 
         Raises:
-            VplusError: if it is an expression.
+            VplusError: if it is of another kind.
         """
-        if not isinstance(argument, Reference):
-            raise VplusError("Illegal value", "an expression; accepted: a variable")
-        return argument
+        name = kind.rstrip("?*")
+        if name == "tree" or (argument is None and kind.endswith("?")):
+            return argument
+        if name == "variable":
+            return self.cell_of(argument)
+        if name == "name" and isinstance(argument, Reference | Function):
+            return argument.name.upper()
+        value: Any = self.value(argument)
+        if not isinstance(value, _TYPES.get(name, float)):
+            raise VplusError("Illegal value", f"a {KINDS[type(value)]}; accepted: a {name}")
+        low, high = _RANGES.get(name, (None, None))
+        if low is not None and not low <= value <= high:
+            raise VplusError("Illegal value", f"{value:g} {name}; accepted: {low:g} to {high:g}")
+        if name == "folded" and isinstance(value, str) and self.readings.ignore_case:
+            return value.upper()
+        return int(value) if name in ("integer", "joint") else value
+
+    # Where the tool is.
+
+    @property
+    def _stand(self) -> Array:
+        """Return where the robot stands in the world."""
+        return self.base if self.readings.base_moves_robot else inverse(self.base)
+
+    def tool_at(self, q: Array) -> Array:
+        """Return where the tool is in the world at joint angles, rad, shape (6,)."""
+        return self._stand @ self.arm.flange(q) @ self.tool
+
+    def solve(self, place: Array, *, keep: bool = False) -> Array:
+        """Return the joint angles, rad, shape (6,), at which the tool is at a place in the world.
+
+        Args:
+            place: mm.
+            keep: whether the configuration stays what it is at the end of the newest motion.
+
+        Raises:
+            VplusError: if there are none.
+        """
+        present = self.arm.posture(self.queue.destination)
+        wanted = {} if keep else self.wanted
+        shoulder = wanted.get("shoulder", present.shoulder)
+        above = wanted.get("elbow", "above" if _is_above(present) else "below")
+        elbow = "positive" if (above == "above") == (shoulder == "front") else "negative"
+        posture = Branch(shoulder, elbow, wanted.get("wrist", present.wrist))
+        flange = inverse(self._stand) @ place @ inverse(self.tool)
+        return self.arm.solve_target(flange, posture, self.queue.destination)
+
+
+def _is_given(tree: Tree) -> bool:
+    return tree is not None
+
+
+def _is_above(posture: Branch) -> bool:
+    return (posture.elbow == "positive") == (posture.shoulder == "front")

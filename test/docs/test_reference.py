@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from processes import Processes, on_own_domain
 
-from rx90_emulator.cli.frame import EXECUTABLES
+from rx90_emulator.cli.frame import NODES, VERBS
 from tools.node_reference import PAGE, NodeReference, from_json, with_tables
 
 REFERENCE = Path(__file__).resolve().parents[2] / "docs/reference"
@@ -78,8 +78,12 @@ def test_services_are_those_of_the_nodes(nodes: Sequence[NodeReference]) -> None
 
 
 def test_every_command_has_its_place() -> None:
-    """Each executable stands in the table of commands.md, and its options in a section there."""
+    """Each node and verb stands in the table of commands.md, and its options in a section there."""
     text = (REFERENCE / "commands.md").read_text(encoding="utf-8")
-    listed = {name for row in re.findall(r"^\| (`.*?) \|", text, re.MULTILINE) for name in re.findall(r"`(\w+)", row)}
-    assert set(EXECUTABLES) <= listed
-    assert sorted(re.findall(r"^   :func: (\w+)$", text, re.MULTILINE)) == sorted(EXECUTABLES)
+    listed = {
+        name
+        for row in re.findall(r"^\| (`.*?) \|", text, re.MULTILINE)
+        for name in re.findall(r"`(?:rx90 )?(\w+)", row)
+    }
+    assert {*NODES, *VERBS} <= listed
+    assert sorted(re.findall(r"^   :func: (\w+)$", text, re.MULTILINE)) == sorted([*NODES, *VERBS])

@@ -11,6 +11,9 @@ import nbformat
 import pytest
 from page_session import PageSession, blocks
 from processes import Processes
+from two_joints import Bench
+
+from rx90_emulator.cli.frame import run
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 MADE = {
@@ -21,15 +24,30 @@ MADE = {
     "own_motion": "my_run.png",
     "friction": "joint_3.png",
     "own_identification": "run.csv",
+    "README": "my_arm/report.html my_arm/friction.yaml check.html circle.yaml",
 }
 """What pages leave in the reader's folder besides, by their names."""
-OF_NODES = {"own_motion", "own_controller", "another_arm"}
+OF_NODES = {"README", "own_motion", "own_controller", "another_arm"}
 PAGES = [
     pytest.param(page, id=page.stem, marks=[pytest.mark.ros] * (page.stem in OF_NODES))
     for page in sorted(
-        [*(DOCS / "tutorials").glob("*.md"), *(DOCS / "start").glob("*.md"), DOCS / "howto" / "own_controller.md"]
+        [
+            DOCS.parent / "README.md",
+            DOCS / "howto" / "own_controller.md",
+            *(DOCS / "tutorials").glob("*.md"),
+            *(DOCS / "start").glob("*.md"),
+        ]
     )
 ]
+
+
+def write_logs(folder: Path) -> None:
+    """Write what the reader of README.md has: an arm's URDF, two logs of its motion in CSV, and what they hold."""
+    bench = Bench.make(folder)
+    for seed, name in enumerate(("log", "unseen"), 1):
+        assert (
+            run("rx90 bag export", [str(bench.bag(f"{name}_bag", seed)), "--output", str(folder / f"{name}.csv")]) == 0
+        )
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -42,6 +60,8 @@ def test_a_page_does_what_it_says(
     folder.mkdir()
     monkeypatch.chdir(folder)
     mpl.use("Agg")
+    if page.stem == "README":
+        write_logs(folder)
     PageSession(page, processes).run()
     for made in MADE.get(page.stem, "").split():
         assert (folder / made).stat().st_size > 200, made

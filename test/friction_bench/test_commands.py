@@ -1,4 +1,4 @@
-"""The commands friction_ramp and friction_rig_emulator on emulated rigs, and the launch file."""
+"""The commands rx90 rig ramp and rx90 rig emulator on emulated rigs, and the launch file."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def ramps(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("friction") / "run"
     with pytest.MonkeyPatch.context() as patch:
         leave_plots_out(patch)
-        assert run("friction_ramp", [*QUICK_RAMPS, "--output", str(out)]) == 0
+        assert run("rx90 rig ramp", [*QUICK_RAMPS, "--output", str(out)]) == 0
     return out
 
 
@@ -88,7 +88,7 @@ def test_recorded_ramps_evaluate_to_the_same_whatever_the_calibration(ramps: Pat
     for scale in (0.0, 0.05):
         file = rig_file_with(tmp_path, SHIPPED_RIG, {"scale_uncertainty: 0.003": f"scale_uncertainty: {scale}"})
         out = tmp_path / f"out_{scale}"
-        assert run("friction_ramp", [*words, "--rig", str(file), "--output", str(out)]) == 0
+        assert run("rx90 rig read", [*words, "--rig", str(file), "--output", str(out)]) == 0
         written = estimates(out)
         exact = {load: written[load]["exact, by covariance"] for load in ("no-load", "loaded")}
         found[scale] = [*exact["no-load"].values(), *exact["loaded"].values(), *written["joint"]["motor_side"].values()]
@@ -109,21 +109,20 @@ NO_RIGS = "/dev/nothing", "/etc/hostname"
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        *((f"friction_ramp --port {port}", f"{port}: cannot be opened") for port in NO_RIGS),
-        ("friction_ramp --slopes 0.1 0.05 0.1", "--slopes has 0.1 twice; accepted: each slope once"),
-        ("friction_ramp --end-torque 0.02 --load none", "no break-away"),
-        ("friction_ramp --element joint_9 --load none", "--element is 'joint_9'"),
-        ("friction_rig_emulator --link /dev/null", "/dev/null: cannot point to the emulated rig"),
+        *((f"rx90 rig ramp --port {port}", f"{port}: cannot be opened") for port in NO_RIGS),
+        ("rx90 rig ramp --slopes 0.1 0.05 0.1", "--slopes has 0.1 twice; accepted: each slope once"),
+        ("rx90 rig ramp --end-torque 0.02 --load none", "no break-away"),
+        ("rx90 rig ramp --element joint_9 --load none", "--element is 'joint_9'"),
+        ("rx90 rig emulator --link /dev/null", "/dev/null: cannot point to the emulated rig"),
     ],
 )
 def test_mistakes_get_one_line(words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A user's mistake is answered by one line and exit code 2 (3 where no rig is), and nothing is written."""
-    command, *options = words.split()
-    output = ["--output", str(tmp_path / "out")] if command == "friction_ramp" else []
-    assert run(command, [*output, *options]) == (3 if words.endswith(NO_RIGS) else 2)
+    output = ["--output", str(tmp_path / "out")] if words.startswith("rx90 rig ramp") else []
+    assert run(words, output) == (3 if words.endswith(NO_RIGS) else 2)
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert message in error
-    assert error.startswith(f"{command}: ")
+    assert error.startswith("rx90 rig: ")
     assert not (tmp_path / "out").exists() or "no break-away" in message
 
 
@@ -134,8 +133,8 @@ def test_existing_folder_is_refused_before_the_rig_moves(
     monkeypatch.setattr(session, "EmulatedRig", lambda *_: pytest.fail("the rig was opened"))
     csv = tmp_path / "old.csv"
     csv.write_text("time,counts\n0,1\n")
-    for words in ([], ["--no-load-file", f"0.1:{csv}"]):
-        assert run("friction_ramp", [*words, "--output", str(tmp_path)]) == 2
+    for verb, words in (("ramp", []), ("read", ["--no-load-file", f"0.1:{csv}"])):
+        assert run(f"rx90 rig {verb}", [*words, "--output", str(tmp_path)]) == 2
         assert f"{tmp_path} exists; accepted: a new name" in capsys.readouterr().err
     assert csv.read_text() == "time,counts\n0,1\n"
     assert list(tmp_path.iterdir()) == [csv]
@@ -146,10 +145,10 @@ def test_source_figure_from_its_kind_of_velocity(tmp_path: Path) -> None:
     time = 0.02 * np.arange(1, 150)
     path = tmp_path / "source.txt"
     np.savetxt(path, np.maximum(949.5407 * time - 227.8898, 0.0))
-    for name, options, expected in (("a", [], 0.1403), ("b", ["--velocity", "instantaneous"], 0.1464)):
-        out = tmp_path / name
-        words = ["--text", "velocity", "--no-load-file", f"0.61:{path}", *options, "--output", str(out)]
-        assert run("friction_ramp", words) == 0
+    for kind, expected in (("velocity", 0.1403), ("instantaneous-velocity", 0.1464)):
+        out = tmp_path / kind
+        words = ["--text", kind, "--no-load-file", f"0.61:{path}", "--output", str(out)]
+        assert run("rx90 rig read", words) == 0
         assert estimates(out)["no-load"]["source, m b / a"]["coulomb"]["value"] == pytest.approx(expected, abs=5e-5)
 
 
@@ -168,12 +167,12 @@ def test_an_unphysical_estimate_is_a_verdict(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], loads: tuple[str, str], quantity: str, estimate: float
 ) -> None:
     """The source's data have a joint with f_v < 0: exit code 1, cause and remedy, and no file calls it identified."""
-    words = ["--text", "velocity", "--velocity", "instantaneous", "--output", str(tmp_path / "out")]
+    words = ["--text", "instantaneous-velocity", "--output", str(tmp_path / "out")]
     for option, load in zip(("--no-load-file", "--loaded-file"), loads, strict=True):
         m, a, b = SOURCE_RAMPS[load]
         np.savetxt(tmp_path / load, np.maximum(a * 0.02 * np.arange(1, 150) - b, 0.0))
         words += [option, f"{m}:{tmp_path / load}"]
-    assert run("friction_ramp", words) == 1
+    assert run("rx90 rig read", words) == 1
     said = capsys.readouterr().err
     known = estimates(tmp_path / "out")
     assert known["joint"]["motor_side"][quantity]["value"] == pytest.approx(estimate, rel=1e-3)
@@ -197,7 +196,7 @@ def test_load_without_an_estimate_does_not_cost_the_other(
     heavy = rig.replaced(emulation={"joint_friction": JointFriction(model="coulomb_viscous", coulomb=4.0, viscous=0.1)})
     monkeypatch.setattr(ramp_job, "load_rig", lambda _: heavy)
     out = tmp_path / "out"
-    assert run("friction_ramp", [*QUICK_RAMPS, "--output", str(out)]) == 1
+    assert run("rx90 rig ramp", [*QUICK_RAMPS, "--output", str(out)]) == 1
     assert "not used: loaded 0.03 Nm/s #1: no break-away up to 0.15" in capsys.readouterr().out
     assert estimates(out)["no-load"]["exact, by covariance"]
     assert len(list(out.glob("ramp_*.csv"))) == 5
@@ -218,7 +217,7 @@ def test_interrupted_measurement_keeps_what_it_measured(
         return run_ramp(*words)
 
     monkeypatch.setattr(ramp_job, "run_ramp", third_time)
-    assert run("friction_ramp", [*QUICK_RAMPS, "--load", "none", "--output", str(tmp_path / "out")]) == 130
+    assert run("rx90 rig ramp", [*QUICK_RAMPS, "--load", "none", "--output", str(tmp_path / "out")]) == 130
     assert "switched off" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.glob("out/*.csv")) == ["ramp_01.csv", "ramp_02.csv"]
     assert read_joint_states(tmp_path / "out" / "bag", "friction_bench/joint_states").stamp_ns.size > 100
@@ -231,8 +230,8 @@ def test_rig_at_a_port_asks_for_the_joint_only_where_both_loads_are_run(
     monkeypatch.setattr(session, "SerialPort", lambda *_: greeted(rig).port)
     monkeypatch.setattr("sys.stdin", io.StringIO())
     words = [*QUICK_RAMPS, "--port", "somewhere", "--output"]
-    assert run("friction_ramp", [*words, str(tmp_path / "a"), "--load", "none"]) == 0
-    assert run("friction_ramp", [*words, str(tmp_path / "b")]) == 3
+    assert run("rx90 rig ramp", [*words, str(tmp_path / "a"), "--load", "none"]) == 0
+    assert run("rx90 rig ramp", [*words, str(tmp_path / "b")]) == 3
     assert "nobody there to couple the joint" in capsys.readouterr().err
 
 
@@ -245,9 +244,9 @@ def test_latched_fault_is_named_and_cleared_by_option(
     client.port.emulated.advance(0.3)  # nobody pumps: as after kill -9
     monkeypatch.setattr(session, "EmulatedRig", lambda *_: client.port.emulated)
     words = [*QUICK_RAMPS, "--load", "none", "--output"]
-    assert run("friction_ramp", [*words, str(tmp_path / "a")]) == 3
+    assert run("rx90 rig ramp", [*words, str(tmp_path / "a")]) == 3
     assert "the host was silent for more than 120 ms; find out why, then clear it" in capsys.readouterr().err
-    assert run("friction_ramp", [*words, str(tmp_path / "b"), "--clear"]) == 0
+    assert run("rx90 rig ramp", [*words, str(tmp_path / "b"), "--clear"]) == 0
 
 
 def test_the_link_goes_with_the_rig_that_has_it(rig: Rig, tmp_path: Path) -> None:

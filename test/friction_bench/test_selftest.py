@@ -95,12 +95,12 @@ def test_the_command_prints_a_table_and_tells_by_its_exit_code(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """0 and a line for each check on a good rig, 1 on one that fails, 3 where no rig answers."""
-    assert run("friction_bench", ["selftest"]) == 0
+    assert run("rx90 rig", ["selftest"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 14
     assert all(line.endswith(": ok") for line in lines[1:])
     monkeypatch.setattr(selftest, "HIGHEST_IDLE_ADC", -1.0)
-    assert run("friction_bench", ["selftest"]) == 1
+    assert run("rx90 rig", ["selftest"]) == 1
     assert sum(line.endswith(": WRONG") for line in capsys.readouterr().out.splitlines()) == 1
-    assert run("friction_bench", ["selftest", "--port", "/dev/nothing"]) == 3
+    assert run("rx90 rig selftest", ["--port", "/dev/nothing"]) == 3
     assert "/dev/nothing: cannot be opened" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The source's experiment on an emulated rig as it was: `friction_ramp --source` and `config/rig/source.yaml`."""
+"""The source's experiment on an emulated rig as it was: `rx90 rig source` and `config/rig/source.yaml`."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("source") / "out"
     with pytest.MonkeyPatch.context() as patch:
         leave_plots_out(patch)
-        assert run("friction_ramp", ["--source", "--output", str(out)]) == 1
+        assert run("rx90 rig source", ["--output", str(out)]) == 1
     return out
 
 
@@ -82,7 +82,7 @@ def test_models_differ_by_creep_and_the_experiment_by_its_spread(measured: Path)
 def test_without_spread_the_source_states_its_own_figures(tmp_path: Path, check_report: Callable[[Path], None]) -> None:
     """Where ramps do not differ, a and b are the published ones, and 0.231 - 0.147 = 0.084 Nm to a unit at the end."""
     out, file = tmp_path / "out", rig_file_with(tmp_path, SOURCE_RIG, SPREADS)
-    assert run("friction_ramp", ["--source", "--repeats", "4", "--rig", str(file), "--output", str(out)]) == 1
+    assert run("rx90 rig source", ["--repeats", "4", "--rig", str(file), "--output", str(out)]) == 1
     found = by_source(out)
     for load, (a, b, coulomb) in PUBLISHED.items():
         assert (found[load]["a"], found[load]["b"]) == pytest.approx((a, b), rel=0.01)

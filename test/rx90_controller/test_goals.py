@@ -11,6 +11,8 @@ from goal_arm import Arm, GoalError, checked, message, tolerance
 from joint_moves import HOME, PERIOD, ZERO, stamp
 
 from rx90_common.base.errors import TrajectoryError
+from rx90_controller.servo.events import GiveUp
+from rx90_controller.servo.states import Off, Switch
 from rx90_controller.trajectory.request import ResultCode, State
 
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
@@ -89,13 +91,14 @@ def test_what_cannot_be_followed_now_is_refused(
     """Not active, all in the past, too far ahead, beyond a limit: refused with its code, and nothing moves."""
     arm = Arm()
     arm.run(1000)
-    arm.loop.enabled = not inactive
+    if inactive:
+        arm.loop.state = Off(Switch(on=False))
     with pytest.raises(GoalError) as caught:
         arm.offer("a", message(**goal))
     assert caught.value.code is code
     assert words in str(caught.value)
     assert arm.active is None
-    arm.loop.enabled = True
+    arm.loop.enable(True)
     arm.run(100)
     assert np.all(np.array(arm.setpoints) == [HOME, ZERO, ZERO])
 
@@ -212,7 +215,7 @@ def test_what_ends_the_following_ends_the_goal() -> None:
     assert np.all(arm.setpoints[-1][0] == HOME + 0.2)
     arm.offer("b", message(HOME))
     arm.run(300)
-    arm.loop.drop("the simulation is gone", halt=True)
+    arm.loop.post(GiveUp("the simulation is gone", halt=True))
     arm.run(300)
     assert arm.stopped_smoothly()
     assert np.all(arm.setpoints[-1][0] != HOME)

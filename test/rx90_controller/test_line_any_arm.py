@@ -20,10 +20,10 @@ from scipy.optimize import least_squares
 from rx90_common.base.errors import LineError
 from rx90_common.base.share import config_path
 from rx90_common.description.inverse import SphericalWristArm
+from rx90_common.description.joint_model import robot_of_urdf
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines.plan import LinePlan, describe_line, plan_line
 from rx90_controller.lines.task import LineTask, load_task
-from rx90_emulator.identification.experiments.arms import robot_of_urdf
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]

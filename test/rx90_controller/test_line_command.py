@@ -36,16 +36,16 @@ PATIENCE = 60.0
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (f"--from-file {REFERENCE}", ["5.600 s, moving from 1.000 s to 5.100 s", "front/positive/positive"]),
+        ("", ["5.600 s, moving from 1.000 s to 5.100 s", "front/positive/positive"]),
         # 0.4 m at 0.2 m/s and 1 m/s^2: 2 s + 0.2 s; what is given beside a task file replaces what that has.
-        (f"--from-file {REFERENCE} --speed 0.2", ["3.700 s, moving from 1.000 s to 3.200 s"]),
+        (f"{REFERENCE} --speed 0.2", ["3.700 s, moving from 1.000 s to 3.200 s"]),
         # Start and end are enough; negative coordinates are no options.
         ("--start 0.6 -0.2 0.2 --end 0.6 0.2 0.2", ["0.4000 m at 0.1 m/s", "front/positive/positive"]),
     ],
 )
 def test_dry_run_prints_the_plan(capsys: pytest.CaptureFixture[str], arguments: str, words: list[str]) -> None:
     """The table names duration, posture, knots, each margin and each joint, and nothing is sent."""
-    assert run("rx90_line", [*arguments.split(), "--dry-run"]) == 0
+    assert run("rx90 line", [*arguments.split(), "--dry-run"]) == 0
     out = capsys.readouterr().out
     assert [word for word in words if word not in out] == []
     rows = {line.split()[0]: line.split()[1:] for line in out.splitlines()}
@@ -58,7 +58,7 @@ def test_dry_run_prints_the_plan(capsys: pytest.CaptureFixture[str], arguments: 
 def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
     """The written file holds names, points and times as in the plan, to the last bit."""
     file = tmp_path / "line.yaml"
-    assert run("rx90_line", ["--from-file", REFERENCE, "--dry-run", "--output", str(file)]) == 0
+    assert run("rx90 line", [REFERENCE, "--dry-run", "--output", str(file)]) == 0
     assert schema_faults("trajectory", file) == []
     message = yaml.safe_load(file.read_text(encoding="utf-8"))
     plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
@@ -74,8 +74,8 @@ def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
 def test_set_points_as_a_table_are_those_of_the_plan(shipped: Setup, tmp_path: Path) -> None:
     """Each row is a set-point: time, joints in degrees, and Pinocchio's pose of the tool in mm and degrees."""
     file = tmp_path / "line.csv"
-    words = ["--from-file", REFERENCE, "--dry-run", "--set-point-rate", "250", "--output", str(file)]
-    assert run("rx90_line", words) == 0
+    words = [REFERENCE, "--dry-run", "--rate", "250", "--output", str(file)]
+    assert run("rx90 line", words) == 0
     head, *lines = file.read_text(encoding="utf-8").splitlines()
     assert head.split(",")[:2] == ["time [s]", "joint_1 [deg]"]
     assert head.endswith("tool x [mm],tool y [mm],tool z [mm],tool roll [deg],tool pitch [deg],tool yaw [deg]")
@@ -98,7 +98,7 @@ def test_a_line_holds_its_speed(tmp_path: Path, capsys: pytest.CaptureFixture[st
     file = tmp_path / "task.yaml"
     task = config_path(REFERENCE).read_text(encoding="utf-8")
     file.write_text(task.replace("line:\n", f"line:\n  speed_policy: {policy}\n"), encoding="utf-8")
-    assert run("rx90_line", ["--from-file", str(file), "--dry-run"]) == code
+    assert run("rx90 line", [str(file), "--dry-run"]) == code
     said = "line.speed_policy is 'lower'; accepted: hold" if code else ""
     assert said in capsys.readouterr().err
 
@@ -155,7 +155,7 @@ def listener(ros_domain: int, request: pytest.FixtureRequest) -> Iterator[Listen
     listener.close()
 
 
-LINE = executable("rx90_line", "--from-file", REFERENCE)
+LINE = executable("rx90 line", REFERENCE)
 
 
 @pytest.mark.ros

@@ -21,9 +21,9 @@ from rx90_common.description.drives import COLD
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
+from rx90_common.rigid_torque import rigid_torque
 from rx90_controller.law.cs7b import CS7B, law_reset, law_state_dtype, position_loop, velocity_loop
 from rx90_controller.law.model import ArmModel
-from rx90_emulator.identification.arm import rigid_torque
 from rx90_emulator.loop.closed_loop import run_ticks
 from rx90_emulator.loop.result import empty_series
 from rx90_emulator.loop.setup import Setup

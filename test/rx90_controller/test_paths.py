@@ -21,13 +21,13 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
 from rx90_common.base.errors import LineError
+from rx90_common.description.joint_model import robot_of_urdf
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines.plan import check_plan, describe_line, plan_line
 from rx90_controller.lines.task import TrapezoidalProfile
 from rx90_controller.paths.path import Path, Segment
 from rx90_controller.paths.profile import LimitedProfile, SpeedLimit
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.experiments.arms import robot_of_urdf
 from rx90_emulator.loop.line import followed_accuracy, path_accuracy, plan_path, run_path
 from rx90_emulator.loop.path_file import load_path, load_trajectory
 from rx90_emulator.loop.setup import Setup
@@ -324,9 +324,9 @@ def test_what_is_no_path_is_refused_with_its_place(name: str) -> None:
 def test_the_command_writes_the_trajectory_that_the_engine_runs(
     shipped: Setup, circle: Path, tmp_path: File, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`rx90_path --output` writes the points of `plan_path`, and refuses a file that is none with code 2, one line."""
+    """`rx90 path --output` writes the points of `plan_path`, and refuses a file that is none with code 2, one line."""
     file = tmp_path / "circle.yaml"
-    assert run("rx90_path", ["paths/circle.yaml", "--dry-run", "--output", str(file)]) == 0
+    assert run("rx90 path", ["paths/circle.yaml", "--dry-run", "--output", str(file)]) == 0
     assert "path      0.3142 m at 0.1 m/s, 1 m/s^2" in capsys.readouterr().out
     written, planned = load_trajectory(file, shipped.robot.joint_names), plan_path(shipped, circle).points
     np.testing.assert_array_equal(written.position, planned.position)
@@ -334,6 +334,6 @@ def test_the_command_writes_the_trajectory_that_the_engine_runs(
     bad = tmp_path / "bad.yaml"
     bad.write_text("path: {start: [0, 0, 0], segments: [{line: {end: [1, 0]}}], speed: 0.1, acceleration: 1.0, "
                    "tool_rpy_degrees: [0, 180, 0]}\n")  # fmt: skip
-    assert run("rx90_path", [str(bad), "--dry-run"]) == 2
+    assert run("rx90 path", [str(bad), "--dry-run"]) == 2
     error = capsys.readouterr().err
-    assert re.fullmatch(r"rx90_path: .*segments\[0\].*accepted: a list of 3 numbers\n", error)
+    assert re.fullmatch(r"rx90 path: .*segments\[0\].*accepted: a list of 3 numbers\n", error)

@@ -21,7 +21,7 @@ from rx90_common.exchange.channel import Matches
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.topics import FREE_RUNNING, TimeMode
 from rx90_controller.node import serving, simulation_mode
-from rx90_controller.node.servo_loop import MotorStates
+from rx90_controller.servo.servo import MotorStates
 
 RATES = Rates(1000, 1000)
 TICK = RATES.period

@@ -19,7 +19,6 @@ from rx90_controller.trajectory.request import (
     Feedback,
     GoalTolerances,
     JoinedAhead,
-    State,
     TrajectoryRequest,
 )
 from rx90_emulator.loop.setup import Setup
@@ -70,7 +69,7 @@ def test_switched_off_the_loop_gives_no_torque_and_holds_what_it_measures(rig: R
     rig.position = np.full(6, 3.0)
     assert rig.run(0, 3) == [False] * 3
     rig.loop.receive(rig.trajectory(0.2))
-    assert rig.loop.rejected == 1
+    assert rig.loop.servo.rejected == 1
     assert "the controller is disabled" in rig.around.lines[-1]
     rig.loop.enable(True)
     assert rig.run(3, 8) == [True] * 8
@@ -103,7 +102,7 @@ def test_a_trajectory_right_after_the_torque_is_on_again_waits_for_the_next_tick
     rig.loop.enable(True)
     assert rig.run(4016, 8) == [False] + [True] * 7
     assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
-    assert rig.loop.rejected == 0
+    assert rig.loop.servo.rejected == 0
 
 
 def test_a_long_goal_that_is_joined_while_the_torque_goes_off_and_on_moves_the_arm(
@@ -139,12 +138,12 @@ def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
     assert line.startswith("joint_2: following error -0.301 rad at 0.001 s; accepted: up to 0.3 rad; torque off")
     assert sum("following error" in each for each in rig.around.lines) == 1
     assert rig.around.published[-1] == 4 * rig.period  # what has led to it can be seen
-    assert rig.loop.fault is not None
+    assert rig.loop.state.switch.fault is not None
     rig.loop.receive(rig.trajectory(0.2))
-    assert rig.loop.rejected == 1
+    assert rig.loop.servo.rejected == 1
     rig.loop.enable(True)
     assert rig.run(402, 8) == [True] * 8
-    assert rig.loop.fault is None
+    assert rig.loop.state.switch.fault is None
     assert rig.cs7b.reference()[0][1] == pytest.approx(0.301)
     assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
 
@@ -196,36 +195,6 @@ def offer(rig: Rig, target: float) -> Sender:
     sender = Sender()
     rig.loop.offer(rig.goal(rig.trajectory(target), sender))
     return sender
-
-
-def test_a_goal_ends_with_what_ends_its_motion(rig: Rig) -> None:
-    """A fault, new states, torque off, a trajectory on the topic: each gives INVALID_GOAL and the reason, once."""
-    rig.loop.hold(rig.states(0))
-    faulty = offer(rig, 0.7)
-    rig.run(0, 4000)  # the motors stand still: the following error becomes too large
-    assert len(faulty.feedback) > 5
-    begun = offer(rig, 0.1)  # while the power is off
-    rig.loop.enable(True)
-    rig.run(4000, 4)
-    renewed = offer(rig, 0.1)
-    rig.loop.hold(rig.states(8000))
-    switched = offer(rig, 0.1)
-    rig.run(8000, 400)
-    rig.loop.enable(False)
-    rig.loop.enable(True)
-    early = offer(rig, 0.1)  # waits for the next tick, in which the arm is held anew
-    rig.run(8400, 4)
-    replaced = offer(rig, 0.1)
-    rig.loop.receive(rig.trajectory(0.05))
-    ends = [sender.ends for sender in (faulty, begun, renewed, switched, early, replaced)]
-    assert [[(end.state, end.code) for end in told] for told in ends] == [[(State.ABORTED, -1)]] * 6
-    words = (
-        "following error", "accepted: after a call of ~/enable with true", "the states go on from 2 s; holding",
-        "the torque is off", "pre-empted by a new goal", "replaced by a trajectory on the topic",
-    )  # fmt: skip
-    assert not any("rejected" in line for line in rig.around.lines)  # the results say it
-    for told, text in zip(ends, words, strict=True):
-        assert text in told[0].reason
 
 
 def ticks_to(error: float, target: float = 0.1) -> int:

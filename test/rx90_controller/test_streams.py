@@ -22,7 +22,7 @@ from scipy.interpolate import CubicHermiteSpline
 from servo_rig import Rig
 
 from rx90_common.description.coupling import to_motor
-from rx90_controller.node.servo_loop import MotorStates
+from rx90_controller.servo.servo import MotorStates
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
 from rx90_controller.trajectory.request import ResultCode, State
 from rx90_controller.trajectory.stream import INTERFACES, POSITION, SetPoints, Stream, StreamOptions, from_message
@@ -261,7 +261,7 @@ def test_what_is_no_set_point_is_one_line(arm: Arm, message: Any, said: str) -> 
     lines = arm.around.lines[1:]  # again after some seconds of the wall clock
     assert 1 <= len(lines) < 20
     assert all(said in line for line in lines)
-    assert arm.loop.rejected == 200
+    assert arm.loop.servo.rejected == 200
 
 
 @pytest.mark.parametrize("velocities", ["none", "rest", "their own"])
@@ -278,7 +278,7 @@ def test_single_points_are_followed_at_their_time(arm: Arm, velocities: str) -> 
     keeps_limits(arm.limits, setpoints)
     rows = np.array([round((at + 0.02) / T) for at in times[5:]])
     assert np.abs(setpoints[rows, 0] - wave(rows * T - 0.03)[:, None]).max() < 2e-5
-    assert arm.loop.rejected == 0
+    assert arm.loop.servo.rejected == 0
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.003])
@@ -296,7 +296,7 @@ def test_moveit_servo_drives_the_arm(arm: Arm, jitter: float) -> None:
         wanted |= {stamp: q for stamp, q, _ in servo.window[:-1]}
     setpoints = arm.play([], 3.0)
     keeps_limits(arm.limits, setpoints)
-    assert arm.loop.rejected == 0
+    assert arm.loop.servo.rejected == 0
     assert not any("rejected" in line or "came" in line for line in arm.around.lines)
     stamps = np.array([stamp for stamp in wanted if stamp > 0.3])
     actual = np.array([np.interp(stamps, T * np.arange(len(setpoints)), setpoints[:, 0, j]) for j in range(6)]).T
@@ -320,11 +320,11 @@ def test_what_begins_too_far_away_is_refused_with_the_time_it_needs(arm: Arm, ve
     for message in (SimpleNamespace(data=[1e308] * 6), window, *(trajectory([t], [away]) for t in (1e-9, 0.05, 0.1))):
         arm.take(message)
     arm.take(trajectory([0.101], [away], [velocities]))
-    assert arm.loop.rejected == 7
+    assert arm.loop.servo.rejected == 7
     assert not arm.play([], 0.2)[:, 0].any()
     least = float(arm.around.lines[-1].split("joint_2 cannot go -1 rad in 0.101 s ")[1].split("from ")[1][:-5])
     arm.take(trajectory([0.98 * least], [away], [velocities]))
-    assert arm.loop.rejected == 8
+    assert arm.loop.servo.rejected == 8
     arm.take(trajectory([least], [away], [velocities]))
     assert np.abs(arm.play([], arm.now + least + 0.1)[-1, 0] - away).max() < 1e-9
 
@@ -354,7 +354,7 @@ def test_a_stream_goes_on_after_a_short_silence(arm: Arm) -> None:
 
 def test_longer_trajectories_are_none_of_a_stream(arm: Arm) -> None:
     """What ends further ahead than `stream.window` is a trajectory as ever: refused beyond limits, not followed."""
-    arm.loop.streaming = StreamOptions(window=0.0)
+    arm.loop.servo.streaming = StreamOptions(window=0.0)
     arm.loop.receive(trajectory([0.02], [0.5]))
     assert arm.around.lines[-1].startswith("trajectory rejected: point 0: ")
     assert not arm.play([], 0.2)[:, 0].any()

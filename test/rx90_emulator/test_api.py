@@ -197,7 +197,7 @@ LATIN = """
 import rx90_emulator
 from rx90_emulator.cli.frame import execute
 assert all(hasattr(rx90_emulator, name) for name in rx90_emulator.__all__)
-raise SystemExit(execute("rx90_config", ["show", "--robot", "./arm"]))
+raise SystemExit(execute("rx90 config", ["show", "--robot", "./arm"]))
 """
 
 

@@ -52,7 +52,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory, task_file: Path) -> Arm:
 
 
 def _plotted(arm: Arm, page: Path) -> None:
-    assert run("rx90_bag", ["plot", str(arm[2]), "-o", str(page)]) == 0
+    assert run("rx90 bag", ["plot", str(arm[2]), "-o", str(page)]) == 0
 
 
 def _demonstrated(arm: Arm, page: Path) -> None:
@@ -63,7 +63,7 @@ def _demonstrated(arm: Arm, page: Path) -> None:
 
 def _measured(arm: Arm, page: Path) -> None:
     words = [str(arm[2]), "--robot", str(arm[0]), "--report", str(page), "--bandwidth", "60"]
-    assert run("rx90_compare_measured", words) in (0, 1)
+    assert run("rx90 identify compare", words) in (0, 1)
 
 
 def _swept(arm: Arm, page: Path) -> None:
@@ -72,7 +72,7 @@ def _swept(arm: Arm, page: Path) -> None:
     file = page.with_suffix(".yaml")
     file.write_text(yaml.safe_dump(plan), encoding="utf-8")
     words = ["run", str(file), "--output", str(page.with_suffix(".parquet")), "--report", str(page)]
-    assert run("rx90_sweep", [*words, "--workers", "1"]) == 0
+    assert run("rx90 sweep", [*words, "--workers", "1"]) == 0
 
 
 def _checked(arm: Arm, page: Path) -> None:
@@ -96,7 +96,7 @@ def _identified(_arm: Arm, page: Path) -> None:
         bags.append(
             write(page.parent / f"{TEXTS[seed].replace('/', '')}", "/joint_states", names, RATE, (*motion, torque))
         )
-    words = ["--excitation", bags[0], "--validation", bags[1], "--output", page.parent / "found"]
+    words = ["excitation", bags[0], "--validation", bags[1], "--output", page.parent / "found"]
     assert bench.identify(*words) in (0, 1)
     (page.parent / "found" / "report.html").rename(page)
 
@@ -106,14 +106,14 @@ def _slid(arm: Arm, page: Path) -> None:
     series = page.parent / "series"
     rx.record_on_engine(setup, rx.plan_experiments(setup, groups=setup.robot.joint_names[2:3], quick=True), series)
     found = page.parent / "friction.yaml"
-    assert run("rx90_identify", [str(series), "--robot", str(folder), "--output", str(found)]) in (0, 1)
+    assert run("rx90 identify sliding", [str(series), "--robot", str(folder), "--output", str(found)]) in (0, 1)
     found.with_suffix(".html").rename(page)
 
 
 def _held_against(arm: Arm, page: Path) -> None:
     folder, _, bag = arm
-    words = ["--friction", str(folder / "friction.yaml"), "--validation", str(bag), "--robot", str(folder)]
-    assert run("rx90_identify", [*words, "--report", str(page)]) in (0, 1)
+    words = [str(folder / "friction.yaml"), str(bag), "--robot", str(folder)]
+    assert run("rx90 identify check", [*words, "--report", str(page)]) in (0, 1)
 
 
 def _ramped(_arm: Arm, page: Path) -> None:
@@ -121,7 +121,7 @@ def _ramped(_arm: Arm, page: Path) -> None:
     content = hostile(yaml.safe_load(config_path(SOURCE_RIG).read_text(encoding="utf-8")))
     rig.write_text(yaml.safe_dump(content), encoding="utf-8")
     out = page.parent / "out"
-    assert run("friction_ramp", ["--source", "--repeats", "4", "--rig", str(rig), "--output", str(out)]) in (0, 1)
+    assert run("rx90 rig source", ["--repeats", "4", "--rig", str(rig), "--output", str(out)]) in (0, 1)
     (out / "report.html").rename(page)
 
 
@@ -132,7 +132,7 @@ def _mapped(_arm: Arm, page: Path) -> None:
     pq.write_table(pa.table({"time": times, **dict.fromkeys(TEXTS, times)}), table)
     places = {"time": {"column": "time", "unit": "s"}, "position": {"columns": list(TEXTS), "unit": "rad"}}
     signals.write_text(yaml.safe_dump({"names": list(TEXTS), **places}), encoding="utf-8")
-    assert run("rx90_bag", ["plot", str(table), "--signals", str(signals), "-o", str(page)]) == 0
+    assert run("rx90 bag", ["plot", str(table), "--signals", str(signals), "-o", str(page)]) == 0
 
 
 def _drawn(_arm: Arm, page: Path) -> None:
@@ -141,7 +141,8 @@ def _drawn(_arm: Arm, page: Path) -> None:
     for shown, text in zip(figures, shown_texts, strict=True):
         shown.line([0.0, 1.0], [0.0, 1.0], name=text)
     drawn = [[shown] for shown in figures]
-    named = {"title": TEXTS[0], "paths": TEXTS, "topics": [*TEXTS, "heat"], "figures": drawn}
+    topics = dict(zip([*TEXTS, "heat"], drawn, strict=True))
+    named = {"title": TEXTS[0], "paths": TEXTS, "topics": topics}
     page.write_text(render_page("rx90_common.bags", "bag.html.j2", **named), encoding="utf-8")
 
 

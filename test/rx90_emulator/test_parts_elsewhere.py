@@ -72,19 +72,19 @@ def test_identification_refuses_parts(parted_file: Path, refuse: Callable[[Path]
 def test_a_ramp_test_does_not_replace_an_element_with_parts(
     parted_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Before any ramp, `friction_ramp --element` refuses an element whose parts it would drop; others are no matter."""
+    """Before any ramp, `rx90 rig ramp --element` refuses an element whose parts it would drop; others are no matter."""
     robot = tmp_path / "robot"
     copytree(config_path("robots/rx90b"), robot)
     (robot / "friction.yaml").write_bytes(parted_file.read_bytes())
     words = ["--robot", str(robot), "--output", str(tmp_path / "out"), "--element", "joint_2"]
-    assert run("friction_ramp", words) == REFUSED
+    assert run("rx90 rig ramp", words) == REFUSED
     told = "elements.joint_2.load: the element that a ramp test replaces cannot hold this part"
     assert told in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
 def test_config_shows_where_each_value_of_a_part_comes_from(parted_file: Path) -> None:
-    """`rx90_config show` lists values of parts with unit, line and provenance, and what the code adds."""
+    """`rx90 config show` lists values of parts with unit, line and provenance, and what the code adds."""
     found = {one.name: one for one in file_values("friction", parted_file)}
     given = found["friction.elements.joint_2.scatter.correlation_time"]
     line = int(given.origin.rpartition(":")[2])
@@ -122,7 +122,7 @@ def test_rx90_run_takes_a_seed(parted_file: Path, tmp_path: Path) -> None:
     drawn = []
     for k, seed in enumerate((4, 4, 5)):
         words = ["--friction", str(parted_file), "--seed", str(seed), "--arrays", str(tmp_path / f"{k}.npz")]
-        assert run("rx90_run", [*words, "--slow-only"]) == 0
+        assert run("rx90 run", [*words, "--slow-only"]) == 0
         with np.load(tmp_path / f"{k}.npz") as arrays:
             drawn.append({name: arrays[name].tobytes() for name in arrays.files})
     assert drawn[0] == drawn[1]

@@ -14,7 +14,7 @@ from rx90_common.description.drives import Windings
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.temperature import TemperaturePart
-from rx90_emulator.identification.arm import rigid_torque
+from rx90_common.rigid_torque import rigid_torque
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 

@@ -60,9 +60,9 @@ def as_sqlite(bag: Path) -> Path:
     return made
 
 
-def write_one(bag: BagWriter, connection: Any, log_ns: int, cdr: bytes) -> None:
+def write_one(bag: BagWriter, number: int, log_ns: int, cdr: bytes) -> None:
     """Write a serialised message by our own writer."""
-    bag.write_many(np.array([connection.id]), np.array([log_ns]), [cdr])
+    bag.write_many(np.array([number]), np.array([log_ns]), [cdr])
 
 
 def write_ros1(path: Path, messages: list[tuple[str, int, Any]]) -> Path:

@@ -8,10 +8,6 @@ import numpy as np
 
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import FILES, shipped_robots
-from rx90_emulator.configuration.nodes import NODE_FILE
-from rx90_emulator.configuration.origins import KINDS
-
-EVERY_KIND = (*KINDS, NODE_FILE)
 
 OWN = {
     "trajectory": """\
@@ -23,12 +19,10 @@ points:
 """,
     "log_mapping": """\
 time: {column: 1, unit: ms}
-topics:
-  joint_states:
-    names: [shoulder, elbow]
-    position: {columns: [2, 3], unit: turns, factor: [0.25, 0.125]}
-    velocity: {columns: [dq1, dq2], unit: rad/s}
-    effort: {columns: [i1, i2], unit: A, factor: -1.5}
+names: [shoulder, elbow]
+position: {columns: [2, 3], unit: turns, factor: [0.25, 0.125]}
+velocity: {columns: [dq1, dq2], unit: rad/s}
+effort: {columns: [i1, i2], unit: A, factor: -1.5}
 delimiter: ;
 decimal: ','
 header: 2

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from benchmarks.hybrid_reference import negligible_element
 from rx90_common.description.drives import MOTOR
 from rx90_common.friction import FrictionSet
-from rx90_emulator.identification.arm import rigid_torque
+from rx90_common.rigid_torque import rigid_torque
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 

@@ -16,7 +16,7 @@ from bag_making import ROS1, joint_state, write_ros1, write_ros2
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from rx90_emulator.identification.arm import rigid_torque
+from rx90_common.rigid_torque import rigid_torque
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,10 @@ from joint_moves import HOME, NAMES, PERIOD, ZERO, stamp, trajectory
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import Rates
-from rx90_controller.node.servo_loop import MotorStates, ServoLoop
+from rx90_controller.node.servo_loop import ServoLoop
+from rx90_controller.servo.events import Cancel, GiveUp
+from rx90_controller.servo.servo import MotorStates
+from rx90_controller.servo.states import Holding
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
 from rx90_controller.trajectory.request import (
     Constraints,
@@ -131,7 +134,7 @@ class Arm:
         self.outputs: Any = mock.Mock()
         law: Any = self.law
         self.loop = ServoLoop(law, self.outputs, 10.0, 1)
-        self.loop.running = True
+        self.loop.state = Holding()
         self.options = options
         self.setpoints: list[Array] = []
         self.active: str | None = None
@@ -159,12 +162,12 @@ class Arm:
 
     def cancel(self) -> Event | None:
         """Cancel the goal offered last."""
-        self.loop.cancel([*self._goals.values()][-1])
+        self.loop.post(Cancel([*self._goals.values()][-1]))
         return next(iter(self._events()), None)
 
     def drop(self, reason: str) -> Event | None:
         """End the goal for a reason."""
-        self.loop.drop(reason)
+        self.loop.post(GiveUp(reason))
         return next(iter(self._events()), None)
 
     def _note(self, key: str, goal: TrajectoryRequest) -> None:

@@ -95,13 +95,11 @@ def run_both_ways(
     simulation, *others = [
         processes.start(*around, *executable(name), "--ros-args", "--params-file", parameters) for name in names
     ]
-    simulation.wait_for("]: ready: ")  # kernels that are compiled first take longer than rx90_line waits
-    line = processes.start(
-        "rx90_line", "--robot", files.urdf.parent.name, "--from-file", file, "--start-time", START, *more
-    )
+    simulation.wait_for("]: ready: ")  # kernels that are compiled first take longer than rx90 line waits
+    line = processes.start("rx90 line", "--robot", files.urdf.parent.name, file, "--start-time", START, *more)
     assert line.wait() == 0
     # Only now: whoever sent the trajectory is gone before anybody records.
-    recorder = processes.start("rx90_bag", "record", "--output", folder / "recorded")
+    recorder = processes.start("rx90 bag", "record", "--output", folder / "recorded")
     recorder.wait_for("ready: all")
     burning = [processes.start(sys.executable, "-c", "print('up')\nwhile True: pass") for _ in range(burners)]
     for burner in burning:
@@ -134,7 +132,7 @@ def run_both_ways(
 
 
 def _write_run(setup: Setup, task: LineTask, folder: Path, *, corrected: bool) -> list[str | Path]:
-    """Write the run of the closed loop; return the options of rx90_line for the same."""
+    """Write the run of the closed loop; return the options of rx90 line for the same."""
     learned = learn_correction(setup, task, 1) if corrected else None
     correction = None if learned is None else learned.correction
     run = run_line(setup, task, start_time=START, record_fast=True, correction=correction)

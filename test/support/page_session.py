@@ -34,9 +34,8 @@ from rx90_emulator.cli.frame import EXECUTABLES, run
 _STAND_IN = Path(__file__).with_name("ros2_stand_in.py")
 _TIMEOUT = 400.0  # s, of a command: generous, for a loaded machine with nothing compiled yet
 _FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
-_HERE = {"friction_ramp", "rx90_bag", "rx90_compare_measured", "rx90_correct", "rx90_experiment", "rx90_export",
-         "rx90_identify", "rx90_line", "rx90_path", "rx90_run", "rx90_sweep"}  # fmt: skip
-"""Commands that are run in the process of the test, with the slow imports done: none of them is a node or goes on."""
+_HERE = {"rig", "bag", "correct", "experiment", "export", "identify", "line", "path", "replay", "run", "sweep"}
+"""Verbs that are run in the process of the test, with the slow imports done: none of them is a node or goes on."""
 
 
 @dataclass(frozen=True)
@@ -132,12 +131,12 @@ class PageSession:
 
     def _done(self, words: list[str]) -> subprocess.CompletedProcess[str]:
         """Run a command to its end."""
-        *python, name = executable("")
-        name, *options = words[len(python) :] or [name]
-        if words[: len(python)] != python or name not in _HERE:
+        python = executable("rx90")
+        verb, *options = words[len(python) :] or [""]
+        if words[: len(python)] != python or verb not in _HERE or options[:1] == ["emulator"]:
             return self._processes.run(*words, timeout=_TIMEOUT)
         with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
-            code = run(name, options)
+            code = run(f"rx90 {verb}", options)
         return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
 
     def _in_terminal(self, command: str, expected: str, terminal: str, where: str) -> None:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from joint_moves import trajectory
 
-from rx90_controller.node.servo_loop import MotorStates, ServoLoop
+from rx90_controller.node.servo_loop import ServoLoop
+from rx90_controller.servo.servo import MotorStates
 from rx90_controller.trajectory.points import points_from_message
 from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, TrajectoryRequest
 from rx90_emulator.loop.setup import Setup

@@ -67,4 +67,4 @@ class Bench:
 
     def identify(self, *words: object) -> int:
         """Run the command."""
-        return run("rx90_identify", [str(word) for word in ("--urdf", self.urdf, *words)])
+        return run("rx90 identify", [str(word) for word in (*words, "--urdf", self.urdf)])

@@ -5,11 +5,10 @@ from __future__ import annotations
 import importlib
 import re
 import time
-from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import compress, pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,29 +17,23 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos
+from rosbags.interfaces.typing import Typesdict
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from rx90_common.bags.joint_series import Int64Array
-from rx90_common.bags.ordering import Arrived, TimeSource
-from rx90_common.bags.topics import CLOCK, JOINT_STATE, JOINT_TRAJECTORY, TRANSFORMS, reports_changes
-from rx90_common.bags.writing import offered_qos, typestore
+from rx90_common.bags.ordering import HEADER_STAMP, LIST_STAMP, Arrived, Source
+from rx90_common.bags.topics import CLOCK, JOINT_STATE, TRANSFORMS, reports_changes
+from rx90_common.bags.writing import offered_qos
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.requirements import missing_module
 from rx90_common.exchange.arrivals import ReceiveBatching
 from rx90_common.exchange.ros_start import reason
-from rx90_common.exchange.topics import COMMANDED_TRAJECTORY, OF_ACTION, TRAJECTORY_ACCEPTED
 
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
-_NEVER = 1 << 63  # ns
 _PAUSE = 0.002  # s; the messages in it at 30,000 per second fit into a socket with Linux' default size
-_MAX_BATCH = 512  # messages of a take
 _HEADER = "std_msgs/Header"
-_INFO = ("publication_sequence_number", "received_timestamp", "source_timestamp")
-_BASE = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64"}
-"""What .msg files call the types that the classes name as IDL does."""
-_SEQUENCE = re.compile(r"sequence<(?P<kind>.+?)(, (?P<most>\d+))?>")
-_ARRAY = re.compile(r"(?P<kind>.+)\[(?P<count>\d+)\]")
-_STRING = re.compile(r"(?P<kind>w?string)<(?P<most>\d+)>")
 
 
 @dataclass
@@ -50,6 +43,33 @@ class WriterCount:
     last: int
     received: int = 0
     lost: int = 0
+
+
+@dataclass(frozen=True)
+class TopicCount:
+    """What was recorded of a topic.
+
+    Attributes:
+        topic: absolute name.
+        writers: messages by publisher.
+        repeated: messages received that are not in the bag, as they repeat the one before.
+        refused: publishers whose quality of service does not fit the first one's.
+    """
+
+    topic: str
+    writers: tuple[WriterCount, ...] = ()
+    repeated: int = 0
+    refused: int = 0
+
+    @property
+    def received(self) -> int:
+        """Return how many messages were received."""
+        return sum(writer.received for writer in self.writers)
+
+    @property
+    def lost(self) -> int:
+        """Return how many messages were sent and not received."""
+        return sum(writer.lost for writer in self.writers)
 
 
 class SequenceCounter:
@@ -69,72 +89,30 @@ class SequenceCounter:
         self._matched = matched
         self._transient_local = transient_local
         self._known_before: int | None = None  # writers at the start
-        self._current: WriterCount | None = None
-
-    @property
-    def received(self) -> int:
-        """Return how many messages were received."""
-        return sum(writer.received for writer in self.writers)
-
-    @property
-    def lost(self) -> int:
-        """Return how many messages were sent and not received."""
-        return sum(writer.lost for writer in self.writers)
 
     def start(self) -> None:
         """From now on all messages of a new writer must be received, from its first on."""
         self._known_before = None if self._transient_local else self._matched()
 
     def add(self, numbers: Int64Array) -> None:
-        """Count messages with these sequence numbers, in this order."""
-        for run in np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1) if len(numbers) else ():
-            first = int(run[0])
-            if self._current is None or first != self._current.last + 1:
-                self._current = self._writer_of(first)
-            self._current.last = int(run[-1])
-            self._current.received += len(run)
+        """Count messages with these sequence numbers, in this order, at least one."""
+        for run in np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1):
+            writer = self._writer_before(int(run[0]))
+            writer.lost += int(run[0]) - writer.last - 1
+            writer.last = int(run[-1])
+            writer.received += len(run)
 
-    def _writer_of(self, number: int) -> WriterCount:
+    def _writer_before(self, number: int) -> WriterCount:
         """Return the writer whose count `number` continues, a new one or, after a loss, the one nearest to it."""
-        behind = [writer for writer in self.writers if writer.last < number]
+        behind = [writer for writer in reversed(self.writers) if writer.last < number]  # the latest may be a restart
         nearest = max(behind, key=lambda writer: writer.last, default=None)
-        if nearest is not None and nearest.last + 1 == number:
+        if nearest is not None and (
+            nearest.last + 1 == number or (number > 1 and len(self.writers) >= self._matched())
+        ):
             return nearest
-        if number == 1 or nearest is None or len(self.writers) < self._matched():
-            late = self._known_before is not None and len(self.writers) >= self._known_before
-            self.writers.append(WriterCount(number, lost=number - 1 if late else 0))
-            return self.writers[-1]
-        nearest.lost += number - nearest.last - 1
-        return nearest
-
-
-class TrajectoryCount:
-    """Compares the trajectories that controllers accepted with those that arrived on their topics.
-
-    A sender of one trajectory may end before it has discovered the recorder; the controller has received
-    the trajectory, publishes it latched, and its copy is used here.
-    """
-
-    def __init__(self) -> None:
-        self._missing: Counter[tuple[str, bytes]] = Counter()  # accepted less came, by controller and content
-        types = typestore().types
-        self._no_header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "")
-
-    def add(self, topic: str, raw: bytes) -> None:
-        """Count a JointTrajectory of any topic."""
-        message: Any = typestore().deserialize_cdr(raw, JOINT_TRAJECTORY)
-        controller, _, name = topic.rpartition("/")
-        accepted = name == TRAJECTORY_ACCEPTED and message.header.frame_id != OF_ACTION
-        if accepted or name == COMMANDED_TRAJECTORY:
-            content = bytes(typestore().serialize_cdr(replace(message, header=self._no_header), JOINT_TRAJECTORY))
-            self._missing[controller, content] += 1 if accepted else -1
-
-    def missing(self, topics: Collection[str]) -> dict[str, int]:
-        """Return how many trajectories did not come, by the topic that they were sent on, of those that are given."""
-        counts: Counter[str] = Counter()
-        for (controller, _), count in (+self._missing).items():
-            counts[f"{controller}/{COMMANDED_TRAJECTORY}"] += count
-        return {topic: count for topic, count in counts.items() if topic in topics}
+        late = self._known_before is not None and len(self.writers) >= self._known_before
+        self.writers.append(WriterCount(0 if late else number - 1))
+        return self.writers[-1]
 
 
 class Streams:
@@ -143,16 +121,12 @@ class Streams:
     Args:
         node: owner of the subscriptions.
         topics: names, relative or absolute.
-
-    Attributes:
-        trajectories: those that came, and those that controllers have accepted since all was ready.
     """
 
     def __init__(self, node: Node, topics: Sequence[str]) -> None:
         self._node = node
         self._batching = ReceiveBatching(_PAUSE)
         self._found: dict[str, Stream | None] = {}
-        self.trajectories = TrajectoryCount()
         for topic in topics:
             try:
                 name = node.resolve_topic_name(topic)
@@ -165,18 +139,19 @@ class Streams:
     def __iter__(self) -> Iterator[Stream]:
         return (stream for stream in self._found.values() if stream is not None)
 
-    def discover(self, on_found: Callable[[Stream], None]) -> bool:
+    def discover(self) -> bool:
         """Subscribe to the topics that have appeared; return whether all are matched."""
-        for index, (topic, stream) in enumerate(self._found.items()):
-            if stream is None:
-                # A topic that is only listened to, such as a controller's trajectories, has a type too; its
-                # publishers come and go, and the first message must not be missed.
-                endpoints = self._node.get_publishers_info_by_topic(topic)
-                endpoints = endpoints or self._node.get_subscriptions_info_by_topic(topic)
-                if endpoints:
-                    found = self._found[topic] = Stream(self._node, topic, index, endpoints, self.trajectories)
-                    self._batching.include(found.subscription)
-                    on_found(found)
+        for place, (topic, stream) in enumerate(self._found.items()):
+            if stream is not None:
+                continue
+            # A topic that is only listened to, such as a controller's trajectories, has a type too; its
+            # publishers come and go, and the first message must not be missed.
+            publishers = self._node.get_publishers_info_by_topic(topic)
+            endpoints = publishers or self._node.get_subscriptions_info_by_topic(topic)
+            if endpoints:
+                added = Stream(self._node, topic, place, endpoints, published=bool(publishers))
+                self._batching.include(added.subscription)
+                self._found[topic] = added
         return not self.missing()
 
     def missing(self) -> list[str]:
@@ -188,9 +163,9 @@ class Streams:
             or (not stream.matched() and (stream.needs_publisher or self._node.count_publishers(topic) > 0))
         ]
 
-    def empty(self) -> list[str]:
-        """Return the topics of which no message has come."""
-        return [topic for topic, stream in self._found.items() if stream is None or not stream.counter.received]
+    def counts(self) -> list[TopicCount]:
+        """Return what was recorded of each topic."""
+        return [TopicCount(topic) if stream is None else stream.count() for topic, stream in self._found.items()]
 
     def clear(self) -> None:
         """Give the subscriptions back."""
@@ -203,115 +178,102 @@ class Stream:
     Args:
         node: owner of the subscription.
         topic: absolute name.
-        index: place in the list of topics.
+        place: in the list of topics.
         endpoints: the publishers in the ROS graph or, where there are none yet, the subscriptions.
-        trajectories: counts those that come.
+        published: `endpoints` are publishers. Of a topic that is only listened to, every message is asked for: a
+            listener that may miss some says nothing about the publisher, which may only not be known yet.
 
     Attributes:
-        definition: the text of its type, if readers of this project do not know it; else empty.
+        msgtype: name of the type of its messages.
+        types: knows this type.
+        source: of the log time of its messages.
+        qos: quality of service that its publishers offer.
+        counter: of its messages.
+        number: in the bag, once it is announced there.
         repeated: messages that repeated the one before.
         sent_ns: time at which the newest message was sent, by its publisher's wall clock.
+        taken_at: when messages were taken last, s, by a clock that is never set.
     """
 
-    def __init__(
-        self, node: Node, topic: str, index: int, endpoints: Sequence[Any], trajectories: TrajectoryCount
-    ) -> None:
+    def __init__(self, node: Node, topic: str, place: int, endpoints: Sequence[Any], *, published: bool) -> None:
         self.topic = topic
-        self.index = index
-        self._trajectories = trajectories
         types = sorted({str(endpoint.topic_type) for endpoint in endpoints})
         if len(types) > 1:
             raise BagError(f"{topic} is published with the types {', '.join(types)}; accepted: one type")
         self.msgtype = types[0]
-        kind = self._kind = message_class(topic, self.msgtype)
-        self.time_source = TimeSource.LIST if self.msgtype == TRANSFORMS else TimeSource.NEWEST
-        if self.msgtype == JOINT_STATE:
-            self.time_source = TimeSource.CLOCK
-        elif reports_changes(topic, self.msgtype) or [*kind.get_fields_and_field_types().values()][:1] == [_HEADER]:
-            self.time_source = TimeSource.STAMP
-        known = typestore().fielddefs
-        self.definition = "" if self.msgtype in known else definition(kind, known)
+        self._kind = message_class(topic, self.msgtype)
+        self.types = types_with(self.msgtype)
         profiles = [endpoint.qos_profile for endpoint in endpoints]
-        reliable = all(p.reliability != ReliabilityPolicy.BEST_EFFORT for p in profiles)
-        self._latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
-        self.qos: Qos = offered_qos(reliable=reliable, transient_local=self._latched)
+        reliable = not published or all(profile.reliability != ReliabilityPolicy.BEST_EFFORT for profile in profiles)
+        latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles)
+        self.source = Source(place, self._stamp_at(), self.msgtype == JOINT_STATE, latched)
+        self.qos: Qos = offered_qos(reliable=reliable, transient_local=latched)
         self.subscription = node.create_subscription(
-            kind,
+            self._kind,
             topic,
-            lambda _: None,  # the message reader reads by itself
+            lambda _: None,  # the recorder takes the messages by itself
             QoSProfile(
                 depth=_DEPTH,
                 reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-                durability=DurabilityPolicy.TRANSIENT_LOCAL if self._latched else DurabilityPolicy.VOLATILE,
+                durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
             ),
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
-        kinds = QoSSubscriptionEventType
-        self._matched, self._message_lost, self._incompatible = (
-            rclpy_implementation.EventHandle(self.subscription.handle, event)
-            for event in (
-                kinds.RCL_SUBSCRIPTION_MATCHED,
-                kinds.RCL_SUBSCRIPTION_MESSAGE_LOST,
-                kinds.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS,
-            )
-        )
-        self.counter = SequenceCounter(self.matched, transient_local=self._latched)
-        self.repeated = self.sent_ns = 0
-        self._ready_ns = _NEVER
+        self._matched = self._event(QoSSubscriptionEventType.RCL_SUBSCRIPTION_MATCHED)
+        self._incompatible = self._event(QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS)
+        self.counter = SequenceCounter(self.matched, transient_local=latched)
+        self.number: int | None = None
+        self.repeated = 0
+        self.sent_ns = 0
+        self.taken_at = 0.0
         self._newest = b""
+
+    def _stamp_at(self) -> int | None:
+        fields = [*self._kind.get_fields_and_field_types().values()]
+        if self.msgtype == TRANSFORMS:
+            return LIST_STAMP
+        if reports_changes(self.topic, self.msgtype) or fields[:1] == [_HEADER]:
+            return HEADER_STAMP
+        return None
+
+    def _event(self, kind: QoSSubscriptionEventType) -> Any:
+        return rclpy_implementation.EventHandle(self.subscription.handle, kind)
 
     @property
     def needs_publisher(self) -> bool:
         """Return whether the topic is the steady output of a node, not a command that somebody sends at times."""
-        return self.time_source is TimeSource.CLOCK or self._latched
-
-    def start(self) -> None:
-        """From now on nothing may be missing that anybody sends."""
-        self.counter.start()
-        self._ready_ns = time.time_ns()
+        return self.source.gives_time or self.source.latched
 
     def take(self) -> Arrived:
-        """Return messages that have come, counted, not more than some hundred; none if there are none."""
-        found: list[tuple[bytes, dict[str, int]]] = []
+        """Return the messages that have come, counted."""
+        taken: list[tuple[bytes, dict[str, int]]] = []
         handle: Any = self.subscription.handle
         with handle:
-            while len(found) < _MAX_BATCH and (message := handle.take_message(self._kind, True)) is not None:
-                found.append(message)
-        numbers, received_ns, sent_ns = (np.array([info[name] for _, info in found], dtype=np.int64) for name in _INFO)
-        self.counter.add(numbers)
-        messages = [raw for raw, _ in found]
-        if not found:
-            return Arrived(self.index, self.time_source, messages, received_ns)
-        self.sent_ns = int(sent_ns[-1])
-        for message, info in found if self.msgtype == JOINT_TRAJECTORY else ():
-            if not self._latched or info["source_timestamp"] >= self._ready_ns:  # else accepted before the recording
-                with suppress(Exception):  # rosbags has no error of its own for bytes that are no message
-                    self._trajectories.add(self.topic, message)
-        if self.msgtype in (JOINT_STATE, CLOCK):
+            while len(taken) < _DEPTH and (message := handle.take_message(self._kind, True)) is not None:
+                taken.append(message)
+        received_ns = np.array([info["received_timestamp"] for _, info in taken], dtype=np.int64)
+        messages = [raw for raw, _ in taken]
+        if taken:
+            self.taken_at = time.monotonic()
+            self.sent_ns = taken[-1][1]["source_timestamp"]
+            self.counter.add(np.array([info["publication_sequence_number"] for _, info in taken]))
+        if self.msgtype in (JOINT_STATE, CLOCK) and taken:
             # Nodes repeat a message while time stands still, and when it may have been lost: it is no second sample.
             new = [before != message for before, message in pairwise([self._newest, *messages])]
             self._newest = messages[-1]
             self.repeated += new.count(False)
             messages = [*compress(messages, new)]
             received_ns = received_ns[new]
-            sent_ns = sent_ns[new]
-        return Arrived(self.index, self.time_source, messages, received_ns, sent_ns if self._latched else None)
+        return Arrived(self.source, messages, received_ns)
 
     def matched(self) -> int:
         """Return how many publishers were ever matched."""
         return _total(self._matched)
 
-    def refused(self) -> int:
-        """Return how many publishers offer a quality of service that does not fit the first one's."""
-        return _total(self._incompatible)
-
-    def lost(self) -> int:
-        """Return the number of lost messages, from their sequence numbers and from the middleware's reports.
-
-        The first also contain messages dropped on this side, the second also the end of a topic.
-        """
-        return max(self.counter.lost, _total(self._message_lost))
+    def count(self) -> TopicCount:
+        """Return what was recorded."""
+        return TopicCount(self.topic, tuple(self.counter.writers), self.repeated, _total(self._incompatible))
 
 
 def _total(event: Any) -> int:
@@ -330,39 +292,29 @@ def message_class(topic: str, msgtype: str) -> Any:
         raise BagError(f"{topic} has type {msgtype}, which the {package} that is installed does not have") from error
 
 
-def definition(kind: Any, known: Collection[str]) -> str:
-    """Return the text of a message class, and of its parts, in the form that rosbag2 writes to bags.
+def types_with(msgtype: str, known: Stores = Stores.ROS2_JAZZY) -> Typestore:
+    """Return known types, and with them a type and its parts, as its package defines them.
 
-    Constants, defaults and comments are left out: messages do not contain them.
-
-    Args:
-        kind: the class.
-        known: types whose text is not needed.
+    Raises:
+        BagError: if an installed package has no such definition.
     """
-    texts: dict[str, str] = {}
-
-    def collect(kind: Any) -> None:
-        name = f"{kind.__module__.split('.')[0]}/{kind.__name__}"
-        if name in texts:
-            return
-        fields = kind.get_fields_and_field_types()
-        texts[name] = "".join(f"{_field_type(described)} {field}\n" for field, described in fields.items())
-        for described in fields.values():
-            package, slash, inner = re.split(r"\[|<=", _field_type(described))[0].partition("/")
-            if slash and f"{package}/msg/{inner}" not in known:
-                collect(message_class(name, f"{package}/msg/{inner}"))
-
-    collect(kind)
-    own, *others = texts.items()
-    return own[1] + "".join(f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in others)
+    types = get_typestore(known)
+    added: Typesdict = {}
+    wanted = [msgtype]
+    while wanted:
+        name = wanted.pop()
+        if name not in types.fielddefs and name not in added:
+            added |= get_types_from_msg(_definition(name), name)
+            wanted += re.findall(r"\w+/msg/\w+", str(added[name]))  # its parts
+    types.register(added)
+    return types
 
 
-def _field_type(described: str) -> str:
-    """Return the type of a field as .msg files have it."""
-    if found := _SEQUENCE.fullmatch(described):
-        return f"{_field_type(found['kind'])}[{'<=' + found['most'] if found['most'] else ''}]"
-    if found := _ARRAY.fullmatch(described):
-        return f"{_field_type(found['kind'])}[{found['count']}]"
-    if found := _STRING.fullmatch(described):
-        return f"{found['kind']}<={found['most']}"
-    return _BASE.get(described, described)
+def _definition(msgtype: str) -> str:
+    """Return the text of a type's .msg file, which lies in the `share` folder beside the package's classes."""
+    package, folder, name = msgtype.split("/")
+    place = Path("share", package, folder, f"{name}.msg")
+    for parent in Path(str(importlib.import_module(package).__file__)).parents:
+        if (parent / place).exists():
+            return (parent / place).read_text(encoding="utf-8")
+    raise BagError(f"{msgtype}: the package that is installed has no {place}")

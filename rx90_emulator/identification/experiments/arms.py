@@ -12,12 +12,14 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError, TrajectoryError
 from rx90_common.base.quoting import listed
 from rx90_common.base.rates import Rates
-from rx90_common.description.robot import RobotModel, load_robot
+from rx90_common.description.joint_model import robot_of_urdf
+from rx90_common.description.poses import check_pose
+from rx90_common.description.robot import RobotModel
 from rx90_common.exchange.topics import motor_names
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
-from rx90_emulator.identification.arm import RigidArm, all_joints, joint_model
-from rx90_emulator.identification.experiments.plan import Experiment, Poses, check_pose
-from rx90_emulator.identification.output.assumed_files import FULL_SPEED_TIME
+from rx90_emulator.configuration.assumed_files import FULL_SPEED_TIME
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.experiments.plan import Experiment, poses_of
 from rx90_emulator.loop.setup import Setup
 
 _START_TOLERANCE = 1e-3  # rad
@@ -55,7 +57,7 @@ class PlannedArm:
     def from_setup(cls, setup: Setup, home: Sequence[float] | None = None) -> PlannedArm:
         """Return the arm of a setup; home is the given one, else that of the robot's poses, else mid-range."""
         if home is None and setup.files is not None and setup.files.poses is not None:
-            home = Poses.of(setup).home.position
+            home = poses_of(setup).home.position
         pose, remarks = _home(setup.robot, home)
         controller = setup.controller
         return cls(
@@ -172,15 +174,3 @@ def _home(robot: RobotModel, given: Sequence[float] | None) -> tuple[Array, tupl
         return middle, (f"home is the middle of the joints' ranges, {listed(f'{angle:.4g}' for angle in middle)} rad",)
     check_pose("home", given, robot)
     return np.array(given, dtype=np.float64), ()
-
-
-def robot_of_urdf(urdf: Path, joints: Sequence[str] | None = None, tool: Path | None = None) -> RobotModel:
-    """Read a serial arm from the URDF of any robot.
-
-    Args:
-        urdf: the robot's description.
-        joints: of interest, from base to tip; by default all that turn and mimic no other. The others are held at 0.
-        tool: a tool file; the link `tool0` carries it.
-    """
-    names = list(joint_model(urdf, joints).names)[1:]
-    return load_robot(urdf, tool, [name for name in all_joints(urdf) if name not in names], replaced=True)

@@ -18,27 +18,25 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from scipy.linalg import null_space, qr
+from scipy.linalg import null_space
 from scipy.optimize import minimize
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed
+from rx90_common.description.workspace import Workspace
+from rx90_controller.trajectory.motion import Motion
 from rx90_emulator.identification.experiments.arms import PlannedArm
-from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.options import ExcitationOptions
 from rx90_emulator.identification.experiments.plan import Experiment, Kind
-from rx90_emulator.identification.experiments.workspace import Workspace
+from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
 
 _VALIDATION_TEMPO = 0.75
 _SMOOTH = 0.1  # rad/s, over which the sign of the velocity changes in the search
 _DIFFERENCE = 1e-4  # rad and rad/s: derivatives are differences; distances of shapes are right to 1e-6 m
 _RIDGE = 1e-9  # of the squared length of a column: a less excited one counts as not excited
-_DEPENDENT = 1e-6  # of the longest column: what is left of one that the others contain
 _LEAST_ROOM = 0.05  # rad, of a random motion about a home at the end of a joint's range
 _RANDOM_STARTS = 12  # random series, the best of which is improved
-_RANDOM_MOTIONS = 60  # that show which columns are independent
-_RANDOM_WIDTHS = (np.pi, 2.0, 5.0)  # rad, rad/s, rad/s^2, of them
 _SAMPLES_PER_HARMONIC = 16  # samples in a period of the fastest sine: a peak between two is missed by 2 %
 _SPATIAL_STRIDE = 4  # samples from one computed distance to the next: distances are smooth, and take longest
 _LIMIT_COSTS = (1.0, 50.0)  # of exceeding a limit by its whole size at one sample: at first walls are soft
@@ -96,12 +94,8 @@ class ExcitationSearch:
         self.workspace = Workspace(arm.robot, options.walls, arm.home, options.clearance)
         count = _SAMPLES_PER_HARMONIC * options.harmonics
         self.samples = self.basis(np.linspace(0.0, options.period, count, endpoint=False))
-        widths = np.reshape(_RANDOM_WIDTHS, (3, 1, 1))
-        motion = np.random.default_rng(0).uniform(-widths, widths, (3, _RANDOM_MOTIONS, len(arm.home)))
-        columns = np.concatenate(_columns(arm, motion))
-        triangle, order = qr(columns, mode="r", pivoting=True)
-        size = np.abs(np.diag(triangle))
-        self._independent = order[: len(size)][size > _DEPENDENT * size[0]]
+        self._columns = StandardColumns(arm.rigid)
+        self._leading = list(BaseGroups.of(self._columns).leading)
 
     def basis(self, time: Array) -> Array:
         """Return the `series_basis` of the runs at times, s, shape (m,)."""
@@ -114,8 +108,15 @@ class ExcitationSearch:
         return np.asarray(motion)
 
     def rows(self, motion: Array) -> Array:
-        """Return the columns of the p independent parameters along a motion, shape (m, n, p)."""
-        return _columns(self.arm, motion)[:, :, self._independent]
+        """Return the columns of p parameters along a motion, each joint's over its largest torque, shape (m, n, p).
+
+        The parameters are the base parameters, and Coulomb and viscous torque of each friction element.
+        """
+        elements = self.arm.rigid.element_matrix
+        inputs = (motion[1] @ elements.T)[:, None]
+        friction = [np.tanh(inputs / _SMOOTH) * elements.T, inputs * elements.T]
+        columns = np.concatenate([self._columns.torque(*motion)[:, :, self._leading], *friction], axis=2)
+        return np.asarray(columns / self.arm.robot.max_effort[:, None])
 
     def best(self, rng: np.random.Generator, step: Callable[[], object]) -> Array:
         """Return the coefficients of the best motion found; `step` is called after each of the search's steps."""
@@ -137,20 +138,18 @@ class ExcitationSearch:
 
     def random(self, rng: np.random.Generator) -> Array:
         """Return the best of random motions within ranges, speeds and accelerations of the joints, each by itself."""
-        starts = [self._random(rng) for _ in range(_RANDOM_STARTS)]
-        return min(starts, key=lambda coefficients: self.cost(coefficients.ravel())[0])
-
-    def _random(self, rng: np.random.Generator) -> Array:
         arm = self.arm
-        coefficients = rng.normal(size=(len(arm.home), self.samples.shape[2]))
         room = np.minimum(arm.robot.upper - arm.home, arm.home - arm.robot.lower)
+        share = self.options.share
         most = np.stack([
-            np.maximum(room, _LEAST_ROOM),
-            self.options.share * arm.robot.max_velocity,
-            self.options.share * arm.limits.acceleration,
+            np.maximum(room, _LEAST_ROOM), share * arm.robot.max_velocity, share * arm.limits.acceleration
         ])  # fmt: skip
-        size = np.min(most / np.abs(self.samples @ coefficients.T).max(axis=1), axis=0)
-        return np.asarray(coefficients * size[:, None])
+        starts = []
+        for _ in range(_RANDOM_STARTS):
+            coefficients = rng.normal(size=(len(arm.home), self.samples.shape[2]))
+            size = np.min(most / np.abs(self.samples @ coefficients.T).max(axis=1), axis=0)
+            starts.append(coefficients * size[:, None])
+        return min(starts, key=lambda coefficients: self.cost(coefficients.ravel())[0])
 
     def cost(self, x: Array, limit_cost: float = _LIMIT_COSTS[-1]) -> tuple[float, Array]:
         """Return the minimised cost and its derivative by the coefficients, shape (n c,).
@@ -223,23 +222,6 @@ class ExcitationSearch:
         motion.rest(_REST_S)
         kind = Kind.VALIDATION if name == "validation" else Kind.EXCITATION
         return Experiment(name, kind, motion.points(self.arm.robot.joint_names), periods)
-
-
-def _columns(arm: PlannedArm, motion: Array) -> Array:
-    """Return the columns of links, rotors, offsets and friction, over each joint's largest torque, shape (m, n, P)."""
-    position, velocity, acceleration = motion
-    turns = arm.rigid.coupling
-    elements = arm.rigid.element_matrix
-    inputs = (velocity @ elements.T)[:, None]
-    rotors = (acceleration @ turns.T)[:, None] * turns.T
-    columns = [
-        arm.rigid.regressor(position, velocity, acceleration),
-        rotors,
-        np.broadcast_to(np.eye(len(turns)), rotors.shape),
-        np.tanh(inputs / _SMOOTH) * elements.T,
-        inputs * elements.T,
-    ]
-    return np.concatenate(columns, axis=2) / arm.robot.max_effort[:, None]
 
 
 def _mean_deviation(rows: Array) -> tuple[float, Array]:

@@ -10,22 +10,21 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
 from rx90_common.bags.reading import read_bag
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, ExchangeError
+from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange.client_node import POLL, ClientNode, client_node, text_parameter
-from rx90_common.friction.friction_file import load_friction
+from rx90_common.exchange.client_node import POLL, ClientNode, client_node
 from rx90_common.process.children import ProcessGroup, executable
 from rx90_controller.node.trajectory_client import NewestPositions, TrajectoryClient
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.identification.experiments.motion import Motion
-from rx90_emulator.identification.experiments.plan import TOPICS, Experiment, write_emulated, write_index
+from rx90_controller.trajectory.motion import Motion
+from rx90_emulator.identification.experiments.plan import TOPICS, Experiment, write_index
 from rx90_emulator.loop.setup import Setup
 
 _ATTEMPTS = 3  # of an experiment whose recorder loses messages
@@ -65,14 +64,10 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
         if np.abs(start - motion.pose).max() > setup.controller.trajectory.start_tolerance:
             motion.move(start, setup.robot.max_velocity * _APPROACH_SPEED, _APPROACH_ACCELERATION)
             client.say(f"approach: {motion.duration:.1f} s")
-            follow(motion.points(names), lambda _: None)
+            follow(motion.points(names), show=lambda _: None)
         for number, experiment in enumerate(plan):
             bar.set_description_str(experiment.name)
-            before = bar.n
-
-            def show(elapsed: float, before: float = before) -> None:
-                bar.update(before + round(elapsed) - bar.n)
-
+            show = partial(_show, bar, bar.n)
             # Repeated if the recorder lost messages, because the machine was busy: experiments end where they begin.
             for attempt in range(1, _ATTEMPTS + 1):
                 fault = _record(recorders, experiment, folder, timeout, partial(follow, show=show))
@@ -82,22 +77,11 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
                     raise ExchangeError(f"{experiment.name}: {fault}")
                 bar.write(f"{experiment.name}: {fault}; again", file=sys.stderr)
                 shutil.rmtree(folder / experiment.name, ignore_errors=True)
-            if not number:
-                _keep_emulated_friction(client, folder, setup.friction.names)
             write_index(folder, plan[: number + 1])
 
 
-def _keep_emulated_friction(client: ClientNode, folder: Path, elements: Sequence[str]) -> None:
-    """Write the friction of a simulation beside the bags; a real arm has none to write."""
-    robot = text_parameter(client, "rx90_sim", "robot")
-    if not robot:
-        return
-    given = text_parameter(client, "rx90_sim", "friction")
-    try:
-        files = RobotFiles.named(robot, friction=given or None)
-        write_emulated(folder, load_friction(files.friction, elements))
-    except ConfigError as error:  # its files are on another machine
-        client.say(f"the simulation's friction is not kept beside the bags: {error}")
+def _show(bar: Any, before: float, elapsed: float) -> None:
+    bar.update(before + round(elapsed) - bar.n)
 
 
 def _record(
@@ -110,7 +94,7 @@ def _record(
     """Record an experiment, and return what is wrong with its bag; empty for nothing."""
     bag = folder / experiment.name
     recorder = recorders.start(
-        experiment.name, executable("rx90_bag", "record", "--output", bag, *TOPICS[experiment.kind])
+        experiment.name, executable("rx90 bag", "record", "--output", bag, *TOPICS[experiment.kind])
     )
     recorder.wait_for("ready: all", timeout)
     end = follow(experiment.points)
@@ -132,22 +116,16 @@ def follow_trajectory(
     show: Callable[[float], object],
 ) -> float:
     """Send a trajectory, wait until the controller's set-points are at its end, and return when it ended, s."""
-
-    def newest() -> tuple[float, Array, float]:
-        client.spin()
-        # The newest message suffices; in between the processor is left to the nodes.
-        time.sleep(POLL / 2.0)
-        assert set_points.position is not None
-        return set_points.time, set_points.position, time.monotonic()
-
     for _ in range(3):  # messages that arrived while the recorder started
-        begin, before, _ = newest()
-    run = FollowedTrajectory(points, before, client.timeout)
+        client.spin()
+    assert set_points.position is not None
+    run = FollowedTrajectory(points, set_points.position, client.timeout)
     trajectory.send(names, points)
-    run.see(begin, before, time.monotonic())
     while not run.done:
-        run.see(*newest())
+        run.see(set_points.time, set_points.position, time.monotonic())
         show(run.elapsed)
+        client.spin()
+        time.sleep(POLL / 2.0)  # the newest message suffices; in between the processor is left to the nodes
     return run.end
 
 
@@ -174,16 +152,11 @@ class FollowedTrajectory:
     """
 
     def __init__(self, points: TrajectoryPoints, before: Array, timeout: float) -> None:
+        self._points = points
         self._before = before
-        self._end = points.position[-1]
         self._timeout = timeout
-        leaves = int(np.argmax((np.abs(points.position - before) > _AT_REST).any(axis=1)))
-        self._rest = float(points.times[max(leaves - 1, 0)])
-        self._duration = float(points.times[-1])
-        self._began: float | None = None
-        self._last_time = -math.inf
-        self._last_advance = 0.0
-        self._due = (0.0, 0.0)
+        self._newest = (-math.inf, 0.0)  # time, and when it came by the wall clock
+        self._due = (math.inf, math.inf)  # of both clocks: without a pace, seconds pass while a message is on its way
         self.elapsed = 0.0
         self.end = math.inf
         self.done = False
@@ -199,20 +172,21 @@ class FollowedTrajectory:
         Raises:
             ExchangeError: if time stands still, or the trajectory does not begin or end.
         """
-        if self._last_time == -math.inf:
-            self._due = now + _PATIENCE, clock + _PATIENCE
-        if now > self._last_time:
-            self._last_time = now
-            self._last_advance = clock
-        elif clock - self._last_advance > self._timeout:
+        time_before, came = self._newest
+        if time_before == -math.inf:
+            self._due = (now + _PATIENCE, clock + _PATIENCE)
+        if now > time_before:
+            self._newest = (now, clock)
+        elif clock - came > self._timeout:
             raise ExchangeError(f"the controller's time stood still at {now:.3f} s for {self._timeout:g} s")
-        if self._began is None and np.abs(position - self._before).max() > _AT_REST:
-            self._began = now - self._rest
-            self.end = self._began + self._duration
-            self._due = self.end + _PATIENCE, clock + self._duration + _PATIENCE
-        if self._began is not None:
-            self.elapsed = min(max(0.0, now - self._began), self._duration)
-            self.done = now > self.end + POLL and bool(np.abs(position - self._end).max() <= _AT_REST)
-        # Both clocks: without a pace, seconds of simulated time pass while a message is on its way.
+        duration = float(self._points.times[-1])
+        if self.end == math.inf and np.abs(position - self._before).max() > _AT_REST:
+            leaves = int(np.argmax((np.abs(self._points.position - self._before) > _AT_REST).any(axis=1)))
+            self.end = now - float(self._points.times[max(leaves - 1, 0)]) + duration
+            self._due = (self.end + _PATIENCE, clock + duration + _PATIENCE)
+        if self.end < math.inf:
+            self.elapsed = min(max(0.0, now - self.end + duration), duration)
+            arrived = np.abs(position - self._points.position[-1]).max() <= _AT_REST
+            self.done = bool(now > self.end + POLL and arrived)
         if not self.done and now > self._due[0] and clock > self._due[1]:
             raise ExchangeError("the controller did not run the trajectory to its end; it says why on its terminal")

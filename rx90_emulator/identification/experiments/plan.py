@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from types import MappingProxyType
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,18 +18,19 @@ from pydantic import Field
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.models import FileModel, Names, PerJoint, quantity, read_model
-from rx90_common.base.quoting import counted, listed, plain, quoted
+from rx90_common.base.models import FileModel, Names, read_model
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.drives import DriveParameters
+from rx90_common.description.poses import Poses
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.files import file_stem, write_text
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.identification.experiments.motion import Motion
+from rx90_controller.trajectory.motion import Motion
 from rx90_emulator.loop.setup import Setup
 
 
@@ -66,60 +68,13 @@ class Experiment:
         return float(self.points.times[-1])
 
 
-class HomePose(FileModel):
-    """Where every experiment begins and ends."""
-
-    position: Annotated[PerJoint, quantity("rad", "Joint positions.")]
-
-
-class PoseList(FileModel):
-    """Where experiments take place."""
-
-    positions: Annotated[
-        tuple[PerJoint, ...], Field(strict=False, min_length=1), quantity("rad", "Joint positions of each pose.")
-    ]
-
-
-class Poses(FileModel):
-    """Where the experiments of an identification take place."""
-
-    home: HomePose
-    sweeps: Annotated[PoseList, Field(description="Where the sweeps take place.")]
-    validation: Annotated[PoseList, Field(description="Between which the validation moves.")]
-
-    @classmethod
-    def load(cls, file: Path) -> Poses:
-        """Read a poses file."""
-        return read_model(cls, file)
-
-    @classmethod
-    def of(cls, setup: Setup) -> Poses:
-        """Return the poses of a robot, checked to be within its limits."""
-        if setup.files is None:
-            raise IdentificationError("the setup was not read from files; accepted: one of load_setup")
-        poses = cls.load(setup.files.required("poses"))
-        poses.check(setup.robot)
-        return poses
-
-    def check(self, robot: RobotModel) -> None:
-        """Check that an arm reaches the poses."""
-        check_pose("home", self.home.position, robot)
-        for number, pose in enumerate(self.sweeps.positions, 1):
-            check_pose(f"pose {number}", pose, robot)
-        for number, pose in enumerate(self.validation.positions, 1):
-            check_pose(f"pose {number} of the validation", pose, robot)
-
-
-def check_pose(pose_name: str, pose: Sequence[float], robot: RobotModel) -> None:
-    """Check that an arm has a pose, rad, within its joints' ranges."""
-    count = len(robot.joint_names)
-    if len(pose) != count:
-        raise IdentificationError(f"{pose_name}: {counted(len(pose), 'number')}; accepted: {count}, one for each joint")
-    for name, value, low, high in zip(robot.joint_names, pose, robot.lower, robot.upper, strict=True):
-        if not low <= value <= high:
-            raise IdentificationError(
-                f"{pose_name}: {name} is {value:g} rad; accepted: [{low:.4g}, {high:.4g}], the joint's limits"
-            )
+def poses_of(setup: Setup) -> Poses:
+    """Return the poses of a robot, checked to be within its limits."""
+    if setup.files is None:
+        raise IdentificationError("the setup was not read from files; accepted: one of load_setup")
+    poses = Poses.load(setup.files.required("poses"))
+    poses.check(setup.robot)
+    return poses
 
 
 _MIN_SPEEDS = 5  # with fewer the Stribeck curve is not determined
@@ -155,6 +110,11 @@ class PlanOptions:
             raise IdentificationError(f"{self.speeds} speeds; accepted: {_MIN_SPEEDS} to {_MAX_SPEEDS}")
 
 
+_QUICK: Mapping[str, Any] = MappingProxyType(
+    {"speeds": 8, "travel": 0.016, "presliding_cycles": (2e-3,), "tone_amplitudes": (4e-5,), "burst": 3.0}
+)
+
+
 def plan_experiments(
     setup: Setup, groups: Sequence[str] = (), *, quick: bool = False, speeds: int | None = None
 ) -> tuple[Experiment, ...]:
@@ -170,15 +130,13 @@ def plan_experiments(
         IdentificationError: for an unknown group or a number of speeds that is not acceptable.
         ConfigError: if the robot has no poses.
     """
-    options = PlanOptions(poses=Poses.of(setup), groups=tuple(groups))
+    poses = poses_of(setup)
+    options = dict(_QUICK) if quick else {}
     if quick:
-        pose = options.poses.replaced(sweeps={"positions": options.poses.sweeps.positions[:1]})
-        options = replace(
-            options, poses=pose, speeds=8, travel=0.016, presliding_cycles=(2e-3,), tone_amplitudes=(4e-5,), burst=3.0
-        )
+        poses = poses.replaced(sweeps={"positions": poses.sweeps.positions[:1]})
     if speeds is not None:
-        options = replace(options, speeds=speeds)
-    return make_plan(setup.robot, setup.drives, options)
+        options["speeds"] = speeds
+    return make_plan(setup.robot, setup.drives, PlanOptions(poses=poses, groups=tuple(groups), **options))
 
 
 def directions(names: Sequence[str], turning: Coupling) -> dict[str, Array]:
@@ -243,6 +201,7 @@ _TONES = (3.0, 9.0, 19.0, 33.0)  # Hz, of a micro-oscillation
 _MIN_HOLD_S = 0.7
 _MAX_HOLD_S = 4.0
 _VALIDATION_SPEED_SHARES = (0.3, 0.12, 0.04)  # of the joints' speeds, in turn
+_VALIDATION_WAVE = (0.02, -0.015, 0.02, -0.03, 0.03, -0.02, 0.025)  # rad, of the joints, 0.5 Hz
 _LIMIT_MARGIN = 0.02  # rad, from a sweep to the joints' limits
 
 
@@ -258,11 +217,6 @@ def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions |
     plan = [_sweeps(robot, drives, options, name, vectors[name]) for name in groups]
     plan += [_oscillations(robot, options, name, vectors[name]) for name in groups if "together" not in name]
     plan.append(_validation(robot, options))
-    if len({experiment.name for experiment in plan}) < len(plan):
-        raise IdentificationError(
-            f"joints {listed(robot.joint_names)}: two would share a file; accepted: names that differ in more than "
-            "/ \\ and :"
-        )
     return tuple(plan)
 
 
@@ -279,33 +233,33 @@ def _sweeps(
     The error by ripple that is synchronous with the sampling differs between speeds, not between poses, and changes its
     sign with the direction.
     """
-    motion = Motion(options.poses.home.position)
-    poses = options.poses.sweeps.positions
-
-    def sweep(motion: Motion, speed: float) -> Motion:
-        held = float(np.clip(options.travel / abs(speed), _MIN_HOLD_S, _MAX_HOLD_S))
-        motion.sweep(direction, speed, held, _ACCELERATION)
-        return motion
-
-    def travel(speed: float) -> Array:
-        return sweep(Motion(np.zeros(direction.size)), speed).pose
-
     fastest = _HIGHEST_SHARE * float(robot.max_velocity[direction != 0.0].min())
     low = robot.lower + _LIMIT_MARGIN
     high = robot.upper - _LIMIT_MARGIN
-    while np.any(np.abs(travel(fastest)) > robot.upper - robot.lower - 2.0 * _LIMIT_MARGIN):
+    while np.any(np.abs(_sweep(Motion(np.zeros(direction.size)), direction, fastest, options)) > high - low):
         fastest *= 0.98
     speeds = sweep_speeds(direction, _LOWEST_SPEED, fastest, 2 * options.speeds, drives)
     there_and_back = speeds.reshape(-1, 2) * (1.0, -1.0)
+    motion = Motion(options.poses.home.position)
+    poses = options.poses.sweeps.positions
     for number, pose in enumerate(poses):
         for speed in there_and_back[number :: len(poses)].ravel().tolist():
             # The travel is centred on the pose; near a limit it moves away from it.
-            way = travel(speed)
-            start = np.clip(np.asarray(pose) - way / 2.0, low + np.maximum(0.0, -way), high - np.maximum(0.0, way))
+            way = _sweep(Motion(np.zeros(direction.size)), direction, speed, options)
+            first = low + np.maximum(0.0, -way)
+            last = high - np.maximum(0.0, way)
+            start = np.clip(np.asarray(pose) - way / 2.0, first, last)
             _approach(robot, motion, start)
             motion.rest(0.1)
-            sweep(motion, speed)
+            _sweep(motion, direction, speed, options)
     return _experiment(robot, f"sliding_{name}", Kind.SLIDING, motion, len(speeds), options.poses.home.position)
+
+
+def _sweep(motion: Motion, direction: Array, speed: float, options: PlanOptions) -> Array:
+    """Add a sweep to a motion and return its end, rad, shape (n,)."""
+    held = float(np.clip(options.travel / abs(speed), _MIN_HOLD_S, _MAX_HOLD_S))
+    motion.sweep(direction, speed, held, _ACCELERATION)
+    return motion.pose
 
 
 def _oscillations(robot: RobotModel, options: PlanOptions, name: str, direction: Array) -> Experiment:
@@ -333,9 +287,7 @@ def _validation(robot: RobotModel, options: PlanOptions) -> Experiment:
         share = _VALIDATION_SPEED_SHARES[number % len(_VALIDATION_SPEED_SHARES)]
         motion.move(pose, robot.max_velocity * share, _ACCELERATION)
         motion.rest(0.15)
-    motion.oscillate(
-        np.array([0.02, -0.015, 0.02, -0.03, 0.03, -0.02, 0.025][: len(robot.joint_names)]), [1.0], [0.5], 6.0
-    )
+    motion.oscillate(np.array(_VALIDATION_WAVE[: len(robot.joint_names)]), [1.0], [0.5], 6.0)
     motion.rest(0.2)
     return _experiment(robot, "validation", Kind.VALIDATION, motion, len(poses) + 1, options.poses.home.position)
 
@@ -350,7 +302,7 @@ EMULATED = "emulated_friction.yaml"
 
 
 class ExperimentsFile(FileModel):
-    """The bags of a series of experiments by use, as rx90_experiment writes it: names in the same folder."""
+    """The bags of a series of experiments by use, as rx90 experiment writes it: names in the same folder."""
 
     sliding: Annotated[Names, Field(description="Sweeps at constant velocity.")]
     presliding: Annotated[Names, Field(description="Micro-oscillations.")]
@@ -403,8 +355,7 @@ def read_index(folder: Path) -> IdentificationBags:
     """Return the bags of a series."""
     if not os.path.lexists(folder / INDEX):
         raise IdentificationError(
-            f"{folder}: no {INDEX}; accepted: a folder that rx90_experiment wrote, or --sliding, --presliding and "
-            "--validation"
+            f"{folder}: no {INDEX}; accepted: a folder that rx90 experiment wrote, or bags by their use"
         )
     index = read_model(ExperimentsFile, folder / INDEX)
     uses = (index.sliding, index.presliding, index.validation, index.excitation)

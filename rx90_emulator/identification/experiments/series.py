@@ -1,11 +1,10 @@
-"""The work of `rx90_experiment` with a plan: show it, search for excitation runs with a progress bar, and record it."""
+"""The work of `rx90 experiment` with a plan: show it, search for excitation runs with a progress bar, and record it."""
 
 from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +13,8 @@ from tqdm import tqdm
 from rx90_common.bags.topics import absolute
 from rx90_common.bags.writing import string_message, write_joint_states
 from rx90_common.base.config import yaml_text
-from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import counted, plain
-from rx90_common.process.files import write_all
+from rx90_common.process.files import made_folder, write_all
 from rx90_controller.trajectory.points import message_content
 from rx90_controller.trajectory.spline import interpolate
 from rx90_emulator.identification.experiments.arms import PlannedArm
@@ -68,7 +66,7 @@ def write_motions(folder: Path, plan: Sequence[Experiment], arm: PlannedArm, rat
         np.savetxt(table, rows, fmt="%.12g", delimiter=",", header=",".join(head), comments="")
         files[folder / f"{experiment.name}.csv"] = table.getvalue().encode()
         files[folder / f"{experiment.name}.yaml"] = yaml_text(message_content(names, points)).encode()
-    with _new_folder(folder):
+    with made_folder(folder):
         write_all(files)
 
 
@@ -91,7 +89,8 @@ def run_on_engine(setup: Setup, experiment: Experiment, bag: Path) -> None:
     result = simulate(
         setup, experiment.points, duration=experiment.duration + _SETTLING_S, record_fast="motor_states" in topics
     )
-    series = [one for one in result.series.values() if one.topic in map(absolute, topics)]
+    recorded = set(map(absolute, topics))
+    series = [series for series in result.series.values() if series.topic in recorded]
     description = string_message("/robot_description", setup.robot.urdf)
     write_joint_states(bag, series, messages=[description])
 
@@ -103,7 +102,7 @@ def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | st
         Rx90Error: for every refusal and failure; complete bags stay.
     """
     # An interrupt ends the bar's line.
-    with _new_folder(Path(folder)) as new, tqdm(plan, desc="engine", unit="experiment", disable=None) as bar:
+    with made_folder(Path(folder)) as new, tqdm(plan, desc="engine", unit="experiment", disable=None) as bar:
         for number, experiment in enumerate(bar):
             run_on_engine(setup, experiment, new / experiment.name)
             if not number:
@@ -115,24 +114,10 @@ def record_on_nodes(
     setup: Setup, plan: Sequence[Experiment], folder: Path, controller: str = "rx90_controller", timeout: float = 60.0
 ) -> None:
     """Run experiments on a controller node, each into a bag of a new folder; waits for the nodes for `timeout`, s."""
-    with _new_folder(folder):
+    with made_folder(folder):
         from rx90_common.exchange.ros_start import prepare
 
         prepare()
         from rx90_emulator.identification.experiments.nodes import run_on_nodes
 
         run_on_nodes(setup, plan, folder, controller, timeout)
-
-
-@contextmanager
-def _new_folder(folder: Path) -> Iterator[Path]:
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise IdentificationError(f"--output {folder}: {error.strerror}; accepted: a folder to be made") from error
-    try:
-        yield folder
-    finally:
-        # An empty folder would block the next attempt.
-        with suppress(OSError):
-            folder.rmdir()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
@@ -11,10 +10,8 @@ from typing import Any
 import numpy as np
 
 from rx90_common.base.config import check_numbers
-from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import counted, plain
+from rx90_common.base.quoting import counted
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.estimates import (
     LARGEST,
@@ -25,9 +22,8 @@ from rx90_emulator.identification.estimates import (
     digits,
 )
 from rx90_emulator.identification.fitted import ASSUMED
-from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.records import BagSource, in_unit
-from rx90_emulator.identification.rows.filtering import Bandwidths
+from rx90_emulator.identification.result import FrictionIdentification
 
 _REMARKS = """\
 #
@@ -35,8 +31,6 @@ _REMARKS = """\
 # each of them is known: standard deviation, interval at 95 %, bags, and whether the bags identify it. A value that they
 # do not identify is taken from elsewhere, and is an assumption.
 """
-_LARGEST = {"Nm": 1e6, "rad/s": 1e4, "1": 1e3, "Nm/rad": 1e12, "Nm s/rad": 1e9, "Nm (s/rad)^alpha": 1e6}
-"""Largest values with these units: orders of magnitude beyond any arm, which only a failed fit gives."""
 _NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have it")
 
 
@@ -45,94 +39,66 @@ class FileFacts:
     """What a friction file says beside its elements.
 
     Attributes:
+        fallback: file of the values that replace parameters that are not identifiable, if any.
         date: of the identification; by default the present.
         joints: torques beside links and friction, as in `FrictionFile.joints`.
-        warnings: why an element's values cannot be trusted, by its name.
-        speeds: least and greatest speed with data, rad/s, by element.
-        sweeps: what was used of each bag of sweeps, in words.
-        fit: goodness of fit by element, as plain data.
-        bandwidths: of excitation runs, which a validation of the file uses again.
+        notes: why an element's values cannot be trusted, by its name.
+        about: of the identification as a whole, as plain data.
         unit: of the torques, if they are currents.
     """
 
+    fallback: str | None = None
     date: datetime | None = None
     joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    warnings: Mapping[str, str] = field(default_factory=dict)
-    speeds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    sweeps: Mapping[BagSource, str] = field(default_factory=dict)
-    fit: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    bandwidths: Bandwidths | None = None
+    notes: Mapping[str, str] = field(default_factory=dict)
+    about: Mapping[str, Any] = field(default_factory=dict)
     unit: str = "Nm"
 
 
 def friction_text(result: FrictionIdentification) -> str:
     """Return the text of the file of an identification from sweeps; errors as in `elements_text`."""
     names = result.arm.element_names
-    sliding = result.sliding
     speeds = {}
-    for name, curve in zip(names, sliding.curves, strict=True):
-        if curve is not None:
-            size = np.abs(curve.velocity)
-            speeds[name] = (float(size.min()), float(size.max()))
+    fit = {}
+    for name, curve in result.curves.items():
+        size = np.abs(curve.velocity)
+        speeds[name] = [digits(float(size.min()), 3), digits(float(size.max()), 3)]
+        fit[name] = {"rms": digits(curve.rms, 4), "share": digits(curve.share, 4), "chi2": digits(curve.chi2, 4)}
+    used = {use.bag.path.name: use.text(names) for use in result.sliding.usage}
     facts = FileFacts(
-        speeds=speeds,
-        sweeps={use.bag: use.text(names) for use in sliding.usage},
-        fit={name: fit.content for name, fit in zip(names, sliding.quality, strict=True) if fit is not None},
+        fallback=result.robot.fallback_name or ASSUMED, about={"speeds": speeds, "sweeps": used, "fit": fit}
     )
-    return elements_text(names, result.elements, result.fallback_name or ASSUMED, facts)
+    return elements_text(names, result.elements, facts)
 
 
-def elements_text(
-    names: Sequence[str],
-    elements: Sequence[IdentifiedElement],
-    fallback_name: str | None,
-    facts: FileFacts = FileFacts(),
-) -> str:
+def elements_text(names: Sequence[str], elements: Sequence[IdentifiedElement], facts: FileFacts = FileFacts()) -> str:
     """Return the text of a file with these elements.
 
     Args:
         names: of the elements.
         elements: identified values of each.
-        fallback_name: file of the values that replace parameters that are not identifiable, if any.
         facts: on the identification.
     """
     date = (facts.date or datetime.now(timezone.utc)).isoformat(timespec="seconds")
-    named = dict(zip(names, elements, strict=True))
-    rounded = {name: _rounded(name, element) for name, element in named.items()}
     used = [bag for element in elements for bags in element.sources.values() for bag in bags]
-    labels = {bag: f"bag_{k}" for k, bag in enumerate(dict.fromkeys(used), 1)}
-    notes = dict(facts.warnings)
-    for name, element in named.items():
-        if element.given_bristles:
-            bristles = f"bristles: as its c0 those of {fallback_name}, assumed"
-            notes[name] = f"{notes[name]}; {bristles}" if name in notes else bristles
-    identification: dict[str, Any] = {
-        "date": date,
-        "bags": {
-            label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": bag.recorded}
-            for bag, label in labels.items()
-        },
+    labels = {bag: f"bag_{number}" for number, bag in enumerate(dict.fromkeys(used), 1)}
+    bags = {
+        label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": bag.recorded} for bag, label in labels.items()
     }
-    if facts.unit != "Nm":
-        identification["unit"] = facts.unit
-    if facts.bandwidths is not None:
-        position, torque, _ = facts.bandwidths
-        identification["bandwidths"] = {"position": float(position), "torque": float(torque)}
-    if facts.speeds:
-        identification["speeds"] = {name: [digits(speed, 3) for speed in pair] for name, pair in facts.speeds.items()}
-    if facts.sweeps:
-        identification["sweeps"] = {labels[bag]: text for bag, text in facts.sweeps.items() if bag in labels}
-        identification["fit"] = dict(facts.fit)
-    identification["parameters"] = {
-        name: _provenance(element, rounded[name], labels, date, fallback_name) for name, element in named.items()
-    }
+    written = {}
+    parameters = {}
+    for name, identified in zip(names, elements, strict=True):
+        element = _rounded(identified)
+        written[name] = element.replaced(note=facts.notes.get(name))
+        parameters[name] = _provenance(identified, element, labels, date, facts.fallback)
+    unit = {} if facts.unit == "Nm" else {"unit": facts.unit}
+    identification = {"date": date, "bags": bags, **unit, **facts.about, "parameters": parameters}
     check_numbers(identification, LARGEST, "identification")
     source = f"{counted(len(labels), 'bag')}, {date}; omega_d is not identified"
-    if fallback_name is not None:
-        source += f", it is at most that of {fallback_name}"
-    noted = {name: element.replaced(note=notes.get(name)) for name, element in rounded.items()}
+    if facts.fallback is not None:
+        source += f", it is at most that of {facts.fallback}"
     file = FrictionFile.of(
-        {"provenance": {"omega_d": "assumed"}, **noted},
+        {"provenance": {"omega_d": "assumed"}, **written},
         provenance="identified",
         source=source,
         joints=dict(facts.joints),
@@ -141,42 +107,30 @@ def elements_text(
     return in_unit(file.text(_REMARKS), facts.unit)
 
 
-def _rounded(name: str, one: IdentifiedElement) -> FrictionElement:
-    """Return an element with the identified values rounded to six digits; refuse values that no arm has."""
-    for parameter, unit in FRICTION_UNITS.items():
-        value = one.element.parameters[parameter]
-        estimate = one.estimates.get(parameter)
-        most = math.inf if parameter == "omega_d" else _LARGEST[unit]
-        spread = estimate.deviation if estimate is not None and estimate.identifiable else 0.0
-        if not (value <= most and math.isfinite(spread)):
-            raise IdentificationError(
-                f"{plain(name)}: {parameter} came out as {value:.3g} +- {spread:.2g}; accepted: up to {most:g} {unit}, "
-                "with a finite deviation; nothing is written"
-            )
-    element = one.element.with_parameters({key: digits(value) for key, value in one.element.parameters.items()})
-    return element.replaced(provenance=None, source=None)  # of a fallback's file
+def _rounded(identified: IdentifiedElement) -> FrictionElement:
+    """Return an element with the identified values rounded to six digits, without the remarks of a fallback's file."""
+    values = {key: digits(value) for key, value in identified.element.parameters.items()}
+    return identified.element.with_parameters(values).replaced(provenance=None, source=None)
 
 
 def _provenance(
-    one: IdentifiedElement, element: FrictionElement, labels: dict[BagSource, str], date: str, fallback_name: str | None
+    identified: IdentifiedElement,
+    element: FrictionElement,
+    labels: Mapping[BagSource, str],
+    date: str,
+    fallback: str | None,
 ) -> dict[str, Any]:
     """Return value, deviation, bags and origin of each parameter of an element."""
-    values = element.parameters | {
-        f"{name}.{key}": value for name, part in element.parts.items() for key, value in part.numbers().items()
-    }
-    found = {}
-    for name in dict.fromkeys((*PARAMETERS, *one.estimates)):
-        estimate = one.estimates.get(name, _NOT_FITTED)
-        content = {"provenance": "assumed", "value": values.get(name, 0.0)}
+    parameters = {}
+    for name in PARAMETERS:
+        estimate = identified.estimates.get(name, _NOT_FITTED)
+        content: dict[str, Any] = {"provenance": "assumed", "value": element.parameters[name]}
         if not estimate.identifiable:
-            there = estimate.reason != NOT_IN_MODEL
-            content |= {
-                "identifiable": False,
-                "reason": estimate.reason,
-                "taken_from": fallback_name if there else None,
-            }
+            taken = None if estimate.reason == NOT_IN_MODEL else fallback
+            content |= {"identifiable": False, "reason": estimate.reason, "taken_from": taken}
         elif estimate.deviation:  # otherwise given, not estimated
             interval = [digits(bound) for bound in estimate.bounds]
             content |= {"provenance": "identified", "deviation": digits(estimate.deviation), "interval": interval}
-        found[name] = content | {"bags": [labels[bag] for bag in one.sources.get(name, ())], "date": date}
-    return found
+        bags = [labels[bag] for bag in identified.sources.get(name, ())]
+        parameters[name] = content | {"bags": bags, "date": date}
+    return parameters

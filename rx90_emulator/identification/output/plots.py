@@ -1,4 +1,4 @@
-"""Plots of the pages of identifications, checks and measured runs. Torques have the unit that is given."""
+"""Plots of the pages of identifications and checks. Torques have the unit that is given."""
 
 from __future__ import annotations
 
@@ -12,24 +12,21 @@ from bokeh.plotting import figure
 from rx90_common.base.arrays import Array
 from rx90_common.report.charts import chart, over_one_x
 from rx90_common.report.style import COLOURS, GREY, INK
-from rx90_emulator.identification.result import ExcitationIdentification
-from rx90_emulator.identification.sliding import CurvePoints
-from rx90_emulator.identification.validation.measured import MeasuredComparison
+from rx90_emulator.identification.estimates import FrictionCurve
 from rx90_emulator.identification.validation.prediction import Validation
 from rx90_emulator.identification.validation.verdict import TorquePrediction
 
-_DRAWN_S = 60.0  # s of a run in a plot: more could not be resolved
+DRAWN_S = 60.0  # s of a run in a plot: more could not be resolved
 _RECORDED: Final = COLOURS[5]
 _PREDICTED: Final = COLOURS[1]
-_DIFFERENCE: Final = COLOURS[6]
+DIFFERENCE: Final = COLOURS[6]
 _SPEED = "velocity of the element, rad/s"
 _INTERVAL = 1.96  # standard deviations, 95 %
+_RESIDUAL = "measured - identified"
 _DRAWN_SHARE = 20  # one of so many parts of a micro-oscillation is drawn: more loops would cover each other
-_SPEED_BINS = 20
-_MIN_BIN_SAMPLES = 8  # least number of samples in a bin
 
 
-def _compared(shown: figure, time: Array, recorded: tuple[str, Array], predicted: tuple[str, Array]) -> None:
+def compared(shown: figure, time: Array, recorded: tuple[str, Array], predicted: tuple[str, Array]) -> None:
     """Draw a recorded and a predicted quantity with their names."""
     shown.line(time, recorded[1], name=recorded[0], color=_RECORDED, line_width=2.4)
     shown.line(time, predicted[1], name=predicted[0], color=_PREDICTED, line_width=1.1)
@@ -38,12 +35,12 @@ def _compared(shown: figure, time: Array, recorded: tuple[str, Array], predicted
 def torques(torque: TorquePrediction, names: Sequence[str], unit: str, predicted: str = "predicted") -> list[figure]:
     """Show the first minute of measured and predicted torques, and their difference where a joint moves."""
     time = torque.time - torque.time[0]
-    rows = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
+    rows = slice(0, int(np.searchsorted(time, DRAWN_S, side="right")))
     figures = []
     for k, name in enumerate(names):
         shown = chart(name, "", unit, height=120)
-        _compared(shown, time[rows], ("measured", torque.recorded[rows, k]), (predicted, torque.predicted[rows, k]))
-        shown.line(time[rows], torque.difference[rows, k], name="difference", color=_DIFFERENCE)
+        compared(shown, time[rows], ("measured", torque.recorded[rows, k]), (predicted, torque.predicted[rows, k]))
+        shown.line(time[rows], torque.difference[rows, k], name="difference", color=DIFFERENCE)
         figures.append(shown)
     over_one_x(figures, "time, s")
     return figures
@@ -58,69 +55,56 @@ def tips(check: Validation) -> list[figure]:
     return [shown]
 
 
-def measured_positions(result: MeasuredComparison) -> list[figure]:
-    """Show measured and simulated positions, each beside their difference."""
-    time = result.torque.time - result.torque.time[0]
-    rows = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
-    figures = []
-    for k, name in enumerate(result.names):
-        measured = result.position[rows, k]
-        simulated = result.simulated_position[rows, k]
-        positions = chart(name, "", "rad", height=120)
-        _compared(positions, time[rows], ("measured", measured), ("simulated", simulated))
-        difference = chart(name, "", "mrad", height=120)
-        difference.line(time[rows], 1e3 * (simulated - measured), name="simulated - measured", color=_DIFFERENCE)
-        figures += [positions, difference]
-    over_one_x(figures, "time since the comparison began, s", across=2)
-    return figures
-
-
-def sliding_curve(name: str, curve: CurvePoints) -> list[figure]:
-    """Show torque against velocity of an element, with the residuals below.
-
-    The velocity is logarithmic on either side of 0: its inverse hyperbolic sine is drawn, for want of such an axis.
-    """
-    smallest = float(np.abs(curve.velocity).min())
-    above = chart(name, "", "friction torque, Nm")
-    below = chart("", "", "residual, Nm")
+def friction_curve(name: str, curve: FrictionCurve, unit: str) -> list[figure]:
+    """Show torque against velocity of an element, with the residuals below."""
+    above = chart(name, "", f"friction torque, {unit}")
+    below = chart("", "", f"residual, {unit}")
     over_one_x([above, below], f"{_SPEED} (logarithmic on either side)")
-    largest = float(np.abs(np.append(curve.line[0], curve.velocity)).max())
-    decades = 10.0 ** np.arange(np.ceil(np.log10(smallest)), np.floor(np.log10(largest)) + 1.0)
-    ticks = np.concatenate([-decades[::-1], [0.0], decades])
-    places = np.arcsinh(ticks / smallest).tolist()
+    speeds = np.abs(np.append(curve.line[0], curve.velocity))
+    smallest = float(speeds.min())
     for shown in (above, below):
-        shown.xaxis.ticker = FixedTicker(ticks=places)
-        shown.xaxis.major_label_overrides = {place: f"{tick:g}" for place, tick in zip(places, ticks, strict=True)}
-        (hover,) = shown.hover
-        hover.tooltips = [("", "$name"), (_SPEED, "@velocity{%.6g}"), ("torque, Nm", "@y{%.6g}")]
-        hover.formatters = {"@velocity": "printf", "@y": "printf"}
-        shown.vspan([0.0], line_color=INK)
+        _show_speeds(shown, smallest, float(speeds.max()), unit)
     below.hspan([0.0], line_color=INK)
-
-    def source(velocity: Array, torque: Array, **columns: Array) -> ColumnDataSource:
-        return ColumnDataSource({"x": np.arcsinh(velocity / smallest), "velocity": velocity, "y": torque, **columns})
 
     for side in (curve.line[0] < 0.0, curve.line[0] > 0.0):
         velocity, torque, deviation = curve.line[:, side]
-        above.line("x", "y", source=source(velocity, torque), name="identified", color=INK)
-        far = _INTERVAL * deviation
-        below.varea(
-            np.arcsinh(velocity / smallest),
-            -far,
-            far,
-            name="95 % of the identified curve",
-            fill_color=GREY,
-            fill_alpha=0.35,
-        )
-    measured = source(curve.velocity, curve.torque)
-    above.scatter("x", "y", source=measured, name="measured, one stretch each", color=COLOURS[0], size=5)
-    residual = curve.torque - curve.fitted
-    far = _INTERVAL * curve.deviation
-    residuals = source(curve.velocity, residual, low=residual - far, high=residual + far)
-    noise = "measured - identified, 95 % of the noise"
-    below.segment("x", "low", "x", "high", source=residuals, name=noise, color=COLOURS[0])
-    below.scatter("x", "y", source=residuals, name=noise, color=COLOURS[0], size=5)
+        line = _source(smallest, velocity, torque, deviation)
+        above.line("x", "y", source=line, name="identified", color=INK)
+        band = _source(smallest, velocity, np.zeros_like(torque), deviation)
+        below.varea("x", "low", "high", source=band, name="95 % of the curve", fill_color=GREY, fill_alpha=0.35)
+    measured = _source(smallest, curve.velocity, curve.torque, curve.deviation)
+    above.scatter("x", "y", source=measured, name="measured", color=COLOURS[0], size=5)
+    residuals = _source(smallest, curve.velocity, curve.torque - curve.fitted, curve.deviation)
+    below.segment("x", "low", "x", "high", source=residuals, name=_RESIDUAL, color=COLOURS[0])
+    below.scatter("x", "y", source=residuals, name=_RESIDUAL, color=COLOURS[0], size=5)
     return [above, below]
+
+
+def _show_speeds(shown: figure, smallest: float, largest: float, unit: str) -> None:
+    """Let the x axis be logarithmic on either side of 0: the inverse hyperbolic sine, for want of such an axis."""
+    decades = 10.0 ** np.arange(np.ceil(np.log10(smallest)), np.floor(np.log10(largest)) + 1.0)
+    ticks = np.concatenate([-decades[::-1], [0.0], decades])
+    places = np.arcsinh(ticks / smallest).tolist()
+    shown.xaxis.ticker = FixedTicker(ticks=places)
+    shown.xaxis.major_label_overrides = {place: f"{tick:g}" for place, tick in zip(places, ticks, strict=True)}
+    (hover,) = shown.hover
+    hover.tooltips = [("", "$name"), (_SPEED, "@velocity{%.6g}"), (f"torque, {unit}", "@y{%.6g}")]
+    hover.formatters = {"@velocity": "printf", "@y": "printf"}
+    shown.vspan([0.0], line_color=INK)
+
+
+def _source(smallest: float, velocity: Array, torque: Array, deviation: Array) -> ColumnDataSource:
+    """Return points with the 95 % interval of their torque."""
+    far = _INTERVAL * deviation
+    return ColumnDataSource(
+        {
+            "x": np.arcsinh(velocity / smallest),
+            "velocity": velocity,
+            "y": torque,
+            "low": torque - far,
+            "high": torque + far,
+        }
+    )
 
 
 def presliding_loop(name: str, position: Array, torques: Mapping[str, Array]) -> figure:
@@ -129,44 +113,5 @@ def presliding_loop(name: str, position: Array, torques: Mapping[str, Array]) ->
     part = slice((_DRAWN_SHARE - 1) * count // (2 * _DRAWN_SHARE), (_DRAWN_SHARE + 1) * count // (2 * _DRAWN_SHARE))
     shown = chart(name, "position, µrad", "friction torque, Nm", height=260)
     measured, simulated = torques
-    _compared(shown, position[part] * 1e6, (measured, torques[measured][part]), (simulated, torques[simulated][part]))
+    compared(shown, position[part] * 1e6, (measured, torques[measured][part]), (simulated, torques[simulated][part]))
     return shown
-
-
-def friction_curves(result: ExcitationIdentification, unit: str) -> list[figure]:
-    """Show the friction torque of each element against its velocity, its band, and means of the measured torque.
-
-    The means belong to the joint's own element: its curve plus the mean residual, in bins of each sign with about the
-    same number of samples.
-    """
-    problem = result.problem
-    residual = result.fitted.fit.residual
-    joints = np.flatnonzero(problem.arm.identified)
-    figures = []
-    for number, name in enumerate(problem.arm.element_names):
-        low, high = result.fitted.speeds[number]
-        if high == 0.0:
-            continue
-        shown = chart(name, _SPEED, unit, height=180)
-        shown.hspan([0.0], line_color=_DIFFERENCE)
-        shown.vspan([0.0], line_color=_DIFFERENCE)
-        has_own_joint = number < len(joints)  # a coupled element has no joint of its own
-        rows = np.flatnonzero((problem.joint == joints[number]) & ~problem.reversal) if has_own_joint else joints[:0]
-        velocity = problem.velocity[rows, number]
-        speeds = np.linspace(low, high, 100)
-        for sign in (-1.0, 1.0):
-            torque, deviation = result.fitted.curve(number, sign * speeds)
-            band = _INTERVAL * deviation
-            shown.varea(
-                sign * speeds, torque - band, torque + band, name="95 %", fill_color=COLOURS[5], fill_alpha=0.35
-            )
-            shown.line(sign * speeds, torque, name="identified", color=COLOURS[0], line_width=1.6)
-            side = np.flatnonzero((sign * velocity > low) & (sign * velocity < high))
-            parts = np.array_split(side[np.argsort(velocity[side])], _SPEED_BINS // 2)
-            filled = [part for part in parts if len(part) >= _MIN_BIN_SAMPLES]
-            if filled:
-                means = np.array([velocity[part].mean() for part in filled])
-                measured = result.fitted.curve(number, means)[0] + [residual[rows[part]].mean() for part in filled]
-                shown.scatter(means, measured, name="measured", color=COLOURS[1], size=5)
-        figures.append(shown)
-    return figures

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,23 +20,23 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.config import check_numbers, read_yaml, without_schema_line, yaml_text
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.models import FileModel
-from rx90_common.base.quoting import listed, plain
+from rx90_common.base.quoting import listed
+from rx90_common.base.share import versions
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.drives import load_drives
+from rx90_common.description.joint_model import all_joints
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
-from rx90_common.friction import FrictionElement
-from rx90_common.friction.element import ALPHA_BOUNDS
-from rx90_emulator.identification.arm import RigidArm, all_joints
+from rx90_emulator.configuration.assumed_files import assumed_files
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.bodies import central
 from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate, digits
 from rx90_emulator.identification.fitted import ASSUMED
-from rx90_emulator.identification.output.assumed_files import assumed_files
 from rx90_emulator.identification.output.friction_file import FileFacts, elements_text
 from rx90_emulator.identification.output.summary import bodies_warnings, in_currents
 from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.result import ExcitationIdentification
-from rx90_emulator.identification.validation.verdict import RunTorques
+from rx90_emulator.identification.validation.prediction import Validation
 
 
 class Identified(NamedTuple):
@@ -50,29 +48,22 @@ class Identified(NamedTuple):
 
 
 def marked(block: Mapping[str, Any], new: Mapping[str, Identified]) -> dict[str, Any]:
-    """Return a block with new values, and with `provenance` and `source` by key where they do not apply to all keys.
-
-    The most frequent entry of several keys is written under `others`, which applies to all keys that are not named.
-    """
+    """Return a block with new values, and with `provenance` and `source` for each of its keys."""
     content = {key: value for key, value in block.items() if key not in FileModel.about_keys}
-    content |= {key: one.value for key, one in new.items()}
+    content |= {key: identified.value for key, identified in new.items()}
     about: dict[str, Any] = {}
     for word in ("provenance", "source"):
         given = block.get(word)
-        each = {key: given.get(key, given.get("others")) if isinstance(given, dict) else given for key in content}
-        each |= {key: getattr(one, word) for key, one in new.items()}
-        (most, count), *rest = Counter(each.values()).most_common()
-        stated = {key: value for key, value in each.items() if value is not None}
-        if rest and None not in each.values() and count > rest[0][1]:
-            stated = {key: value for key, value in each.items() if value != most} | {"others": most}
-        if stated:
-            about[word] = stated if rest else most
-    return about | {key: block[key] for key in ("note",) if key in block} | content
+        words = {key: given.get(key, given.get("others")) if isinstance(given, dict) else given for key in content}
+        words |= {key: getattr(identified, word) for key, identified in new.items()}
+        stated = {key: said for key, said in words.items() if said}
+        (first, *others) = set(words.values())
+        about[word] = stated if others else first
+    note = {"note": block["note"]} if "note" in block else {}
+    return about | note | content
 
 
-_MAX_MASS = 1e5  # kg
-_MAX_LEVER = 100.0  # m from the link's frame to its centre of mass
-_MOMENTS = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def edited_urdf(urdf: str, bodies: Mapping[str, Array | None], held: Collection[str], remark: str) -> str:
@@ -92,7 +83,7 @@ def edited_urdf(urdf: str, bodies: Mapping[str, Array | None], held: Collection[
                 link.remove(inertial)
             pseudo = bodies[name]
             if pseudo is not None:
-                link.insert(0, _inertial(name, pseudo))
+                link.insert(0, _inertial(pseudo))
     for joint in root.findall("joint"):
         if joint.get("name") in held:
             joint.set("type", "fixed")
@@ -102,18 +93,14 @@ def edited_urdf(urdf: str, bodies: Mapping[str, Array | None], held: Collection[
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _inertial(link: str, pseudo: Array) -> ET.Element:
+def _inertial(pseudo: Array) -> ET.Element:
     """Return the element with all digits, so that loading it gives exactly the identified values."""
     mass, center, inertia = central(pseudo)
-    if not (np.isfinite(pseudo).all() and 0.0 < mass < _MAX_MASS and np.linalg.norm(center) < _MAX_LEVER):
-        raise IdentificationError(
-            f"link {plain(link)} would have a mass of {mass:.3g} kg at {np.linalg.norm(center):.3g} m; accepted: up to "
-            f"{_MAX_MASS:g} kg and {_MAX_LEVER:g} m"
-        )
     inertial = ET.Element("inertial")
     ET.SubElement(inertial, "origin", xyz=" ".join(map(repr, center.tolist())), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=repr(float(mass)))
-    ET.SubElement(inertial, "inertia", {key: repr(float(inertia[index])) for key, index in _MOMENTS.items()})
+    moments = inertia[np.triu_indices(3)].tolist()
+    ET.SubElement(inertial, "inertia", {key: repr(moment) for key, moment in zip(_MOMENTS, moments, strict=True)})
     ET.indent(inertial)
     return inertial
 
@@ -127,18 +114,6 @@ _CONTROLLER_HEAD = """\
 # The controller, with the identified friction in its feed-forward; everything else is as it was before.
 # Joint-side units, one value per motor (docs/explanation/closed_loop.md).
 """
-_SECOND_SPEED_SHARE = 0.25
-"""Of the nominal speed: where the compensation by one viscous part equals the sum of several a second time."""
-
-
-def viscous_sum(elements: Sequence[FrictionElement], speed: float) -> tuple[float, float]:
-    """Return c2 and alpha of one viscous part that equals the sum of several at the speed and at a share of it."""
-    if len({one.alpha for one in elements}) == 1:
-        return sum(one.c2 for one in elements), elements[0].alpha
-    fast = sum(one.c2 * speed**one.alpha for one in elements)
-    slow = sum(one.c2 * (_SECOND_SPEED_SHARE * speed) ** one.alpha for one in elements)
-    alpha = float(np.clip(np.log(slow / fast) / np.log(_SECOND_SPEED_SHARE), *ALPHA_BOUNDS)) if slow > 0.0 else 1.0
-    return fast / speed**alpha, alpha
 
 
 class FolderBase(NamedTuple):
@@ -167,7 +142,7 @@ def folder_base(arm: RigidArm, urdf: Path) -> tuple[FolderBase | None, str]:
     """Return the basis of another robot's folder, or None, and in one line the consequence."""
     alone = "URDF and friction file alone, no robot folder: "
     if not arm.identified.all():
-        followed = listed(name for name, own in zip(arm.names, arm.identified, strict=True) if not own)
+        followed = listed(np.array(arm.names)[~arm.identified].tolist())
         return None, f"{alone}{followed} only followed the recording; the simulation needs friction of every joint"
     held = tuple(name for name in all_joints(urdf) if name not in arm.names)
     try:
@@ -180,12 +155,20 @@ def folder_base(arm: RigidArm, urdf: Path) -> tuple[FolderBase | None, str]:
     return FolderBase(robot, turning, None, held), provenance + fixed
 
 
+def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[str, str], str]:
+    """Return the text of each of the robot's files by its name, and a line that describes them."""
+    setup = result.robot.setup
+    if setup is not None:
+        files = setup.files or RobotFiles()
+        note = "a robot folder; what the runs do not determine is as it was"
+        return robot_texts(result, files.urdf, FolderBase.of(files), date), note
+    urdf = Path(str(result.robot.options.urdf))
+    base, note = folder_base(result.arm, urdf)
+    return robot_texts(result, urdf, base, date), note
+
+
 def robot_texts(
-    result: ExcitationIdentification,
-    urdf: Path,
-    base: FolderBase | None,
-    given: Mapping[tuple[str, str], Identified] = MappingProxyType({}),
-    now: datetime | None = None,
+    result: ExcitationIdentification, urdf: Path, base: FolderBase | None, date: datetime
 ) -> dict[str, str]:
     """Return the text of each file by its name.
 
@@ -193,112 +176,131 @@ def robot_texts(
         result: the identification.
         urdf: the description that gets other inertials.
         base: basis of a whole folder; None for URDF and friction file alone.
-        given: other values for the drives file, by block and key, such as ("motor", "torque_constant").
-        now: date of the identification; by default the present.
+        date: of the identification.
     """
-    arm = result.problem.arm
+    arm = result.arm
     inertias = result.consistency.inertias
-    standard = result.problem.columns.names
-    names = arm.names
     if not np.isfinite(inertias.parameters).all():
         raise IdentificationError("inertial parameters that are not finite; nothing is written")
-    sources = (bag for use, bag in result.bags if use == "excitation")
-    origin = "identified from " + listed(f"{bag.path.name} (recorded {bag.recorded})" for bag in sources)
-    new: dict[tuple[str, str], Identified] = {}
-    for kind, block, key in (("Ia", "transmission", "rotor_inertia"), ("k", "spring", "torque")):
-        columns = {name: f"{kind}_{joint}" for joint, name in enumerate(names, 1)}
-        there = {name: standard.index(one) for name, one in columns.items() if one in standard}
-        if there and (kind != "Ia" or result.problem.columns.rotors):
-            amounts = [float(inertias.parameters[there[name]]) if name in there else 0.0 for name in names]
-            shared = listed(name for name, k in there.items() if not inertias.alone[k])
-            how = f"; of {shared} only the sum with the links, divided near to what was known" if shared else ""
-            new[block, key] = Identified([digits(one, 12) for one in amounts], "identified", origin + how)
-            if kind == "k" and min(amounts) < 0.0:
-                worst = names[int(np.argmin(amounts))]
-                raise IdentificationError(
-                    f"the spring of {worst} was identified as {min(amounts):.3g} Nm; accepted: >= 0"
-                )
-    new |= given
+    names = arm.element_names if base is None else base.turning.element_names(arm.names)
+    noted = zip(arm.element_names, names, strict=True)
+    bandwidths = result.compared
+    speeds = zip(names, result.fitted.speeds, strict=True)
+    facts = FileFacts(
+        fallback=result.robot.fallback_name or ASSUMED,
+        date=date,
+        joints=_joints(result),
+        notes={new: result.element_notes[old] for old, new in noted if old in result.element_notes},
+        about={
+            "bandwidths": {"position": float(bandwidths.position), "torque": float(bandwidths.torque)},
+            "speeds": {name: [digits(low, 3), digits(high, 3)] for name, (low, high) in speeds},
+        },
+        unit=result.unit,
+    )
     bodies: dict[str, Array | None] = dict.fromkeys(inertias.prior.dropped)
     for body, pseudo in zip(inertias.prior.bodies, inertias.pseudo, strict=True):
         inverse = np.linalg.inv(body.frame)
         bodies[body.link] = inverse @ pseudo @ inverse.T
-    rotors = ", ".join(f"{value:.6g}" for value in inertias.rotors)
-    remark = f" The inertials of {listed(bodies, 100)} are {origin}; other comments on masses are older. "
-    remark += f"Rotors are no part of them: {rotors} kg m^2 at the joints. " if inertias.rotors.any() else ""
+    remark = f" The inertials of {listed(bodies, 100)} are {_origin(result)}; other comments on masses are older. "
+    if inertias.rotors.any():
+        rotors = ", ".join(f"{value:.6g}" for value in inertias.rotors)
+        remark += f"Rotors are no part of them: {rotors} kg m^2 at the joints. "
     remark += "".join(f"{text}. " for text in in_currents(result))
-    elements = arm.element_names if base is None else base.turning.element_names(names)
-    old = result.problem.arm.element_names
-    notes = {
-        new: result.element_notes[name] for name, new in zip(old, elements, strict=True) if name in result.element_notes
-    }
+    held = () if base is None else base.held
     texts = {
-        FILES["urdf"]: edited_urdf(urdf.read_text(encoding="utf-8"), bodies, () if base is None else base.held, remark),
-        FILES["friction"]: elements_text(
-            elements,
-            result.elements,
-            result.robot.fallback_name or ASSUMED,
-            FileFacts(
-                date=now,
-                joints=_joints(result),
-                warnings=notes,
-                speeds=dict(zip(elements, result.fitted.speeds, strict=True)),
-                bandwidths=result.compared,
-                unit=result.unit,
-            ),
-        ),
+        FILES["urdf"]: edited_urdf(urdf.read_text(encoding="utf-8"), bodies, held, remark),
+        FILES["friction"]: elements_text(names, result.elements, facts),
     }
-    if base is None:
-        return texts
-    peak_acceleration = np.max([np.abs(run.acceleration).max(axis=0) for run in result.problem.runs], axis=0)
-    drives, controller = _initial_contents(
-        base, texts[FILES["urdf"]], np.asarray(inertias.rotors), new, peak_acceleration
+    return texts if base is None else texts | _folder_texts(result, base, names, texts[FILES["urdf"]])
+
+
+def _origin(result: ExcitationIdentification) -> str:
+    bags = (bag for use, bag in result.bags if use == "excitation")
+    return "identified from " + listed(f"{bag.path.name} (recorded {bag.recorded})" for bag in bags)
+
+
+def _folder_texts(
+    result: ExcitationIdentification, base: FolderBase, names: Sequence[str], urdf: str
+) -> dict[str, str]:
+    """Return the texts of drives and controller, and of the files that are kept."""
+    new = _drive_values(result)
+    if base.files is None:
+        options = result.robot.options
+        given = {("transmission", "gear"): options.gear, ("motor", "torque_constant"): options.torque_constant}
+        for (block, key), values in given.items():
+            if options.gear is not None and values is not None:
+                source = f"as given with --{key.replace('_', '-')}"
+                new[block, key] = Identified([float(value) for value in values], "assumed", source)
+        fastest = np.max([np.abs(run.acceleration).max(axis=0) for run in result.problem.runs], axis=0)
+        rotors = np.asarray(result.consistency.inertias.rotors)
+        drives, controller = assumed_files(base.robot, pin.buildModelFromXML(urdf), base.turning, rotors, new, fastest)
+    else:
+        drives = dict(read_yaml(base.files.drives))
+        # The model for its feed-forward is the folder's own arm, not the one named in the basis.
+        controller = {key: value for key, value in read_yaml(base.files.controller).items() if key != "model"}
+    for (block, key), identified in new.items():
+        drives[block] = marked(drives[block], {key: identified})
+    controller["feed_forward"] = marked(controller["feed_forward"], _compensation(result.elements, names, base))
+    texts = {
+        FILES["drives"]: _DRIVES_HEAD + yaml_text(drives),
+        FILES["controller"]: _CONTROLLER_HEAD + yaml_text(controller),
+    }
+    unchanged = (
+        {} if base.files is None else {"tool": base.files.tool, "task": base.files.task, "poses": base.files.poses}
     )
-    for block in dict.fromkeys(block for block, _ in new):
-        drives[block] = marked(drives[block], {key: one for (there, key), one in new.items() if there == block})
-    feed_forward = _compensation(result.elements, elements, base)
-    controller["feed_forward"] = marked(controller["feed_forward"], feed_forward)
-    texts[FILES["drives"]] = _DRIVES_HEAD + yaml_text(drives)
-    texts[FILES["controller"]] = _CONTROLLER_HEAD + yaml_text(controller)
-    for role in ("tool", "task", "poses"):
-        path: Path | None = None if base.files is None else getattr(base.files, role)
+    for role, path in unchanged.items():
         if path is not None:
             texts[FILES[role]] = without_schema_line(path.read_text(encoding="utf-8"))
     return texts
 
 
+def _drive_values(result: ExcitationIdentification) -> dict[tuple[str, str], Identified]:
+    """Return the identified rotors and springs, by block and key of the drives file."""
+    inertias = result.consistency.inertias
+    columns = result.problem.columns
+    names = result.arm.names
+    values = {}
+    for kind, block, key in (("Ia", "transmission", "rotor_inertia"), ("k", "spring", "torque")):
+        place = {
+            name: columns.names.index(f"{kind}_{joint}")
+            for joint, name in enumerate(names, 1)
+            if f"{kind}_{joint}" in columns.names
+        }
+        if not place or (kind == "Ia" and not columns.rotors):
+            continue
+        amounts = [float(inertias.parameters[place[name]]) if name in place else 0.0 for name in names]
+        if min(amounts) < 0.0:
+            worst = names[int(np.argmin(amounts))]
+            raise IdentificationError(f"the {key} of {worst} was identified as {min(amounts):.3g}; accepted: >= 0")
+        shared = listed(name for name, number in place.items() if not inertias.alone[number])
+        how = f"; of {shared} only the sum with the links, divided near to what was known" if shared else ""
+        values[block, key] = Identified([digits(amount, 12) for amount in amounts], "identified", _origin(result) + how)
+    return values
+
+
 def _compensation(
-    found: Sequence[IdentifiedElement], elements: Sequence[str], base: FolderBase
+    identified: Sequence[IdentifiedElement], names: Sequence[str], base: FolderBase
 ) -> dict[str, Identified]:
     """Return the controller's compensation for the identified friction of the elements with these names."""
     joints = len(base.robot.joint_names)
-    # The friction that each motor works against, at speeds up to the nominal ones.
-    moved_elements = [[one.element] for one in found[:joints]]
-    speed = base.robot.max_velocity.tolist()
-    for motor, one in zip(base.turning.sums, found[joints:], strict=True):
-        moved_elements[motor].append(one.element)
-    viscous, exponent = zip(
-        *(viscous_sum(some, top) for some, top in zip(moved_elements, speed, strict=True)), strict=True
-    )
-    coulomb = [sum(0.5 * (one.tau_c.positive + one.tau_c.negative) for one in some) for some in moved_elements]
+    # The friction that each motor works against; several viscous parts are one of their sum at the nominal speed.
+    against = [[joint.element] for joint in identified[:joints]]
+    for motor, shared in zip(base.turning.sums, identified[joints:], strict=True):
+        against[motor].append(shared.element)
+    coulomb = []
+    viscous = []
+    for elements, speed in zip(against, base.robot.max_velocity.tolist(), strict=True):
+        coulomb.append(sum(0.5 * (law.tau_c.positive + law.tau_c.negative) for law in elements))
+        viscous.append(sum(law.c2 * speed**law.alpha for law in elements) / speed ** elements[0].alpha)
+    exponent = [elements[0].alpha for elements in against]
     source = "the identified friction of each joint"
-    if base.turning.size.wrist:
-        source += "; of joint 6 and of element 7, with which motor 6 turns as well"
-    elif base.turning.sums:
-        source += f", and of {listed(elements[joints:])} at the motors that turn so"
+    if base.turning.sums:
+        source += f", and of {listed(names[joints:])} at the motors that turn with several joints"
     values = {"coulomb_torque": coulomb, "viscous_friction": viscous, "viscous_exponent": exponent}
-    return {key: Identified([digits(one, 12) for one in some], "derived", source) for key, some in values.items()}
-
-
-def _initial_contents(
-    base: FolderBase, urdf: str, rotors: Array, new: Mapping[tuple[str, str], Identified], peak_acceleration: Array
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the initial contents of drives and controller file; accelerations as in the runs."""
-    if base.files is None:
-        return assumed_files(base.robot, pin.buildModelFromXML(urdf), base.turning, rotors, new, peak_acceleration)
-    # The model for its feed-forward is the folder's own arm, not the one named in the basis.
-    controller = {key: value for key, value in read_yaml(base.files.controller).items() if key != "model"}
-    return dict(read_yaml(base.files.drives)), controller
+    return {
+        key: Identified([digits(value, 12) for value in joint_values], "derived", source)
+        for key, joint_values in values.items()
+    }
 
 
 def _joints(result: ExcitationIdentification) -> dict[str, dict[str, float]]:
@@ -306,41 +308,16 @@ def _joints(result: ExcitationIdentification) -> dict[str, dict[str, float]]:
 
     Rotors and springs of another arm may be in a drives file, too: its URDF alone is held against bags with these.
     """
-    names = result.problem.arm.names
-    standard = result.problem.columns.names
-    values = dict(zip(standard, result.consistency.inertias.parameters.tolist(), strict=True))
+    numbers = result.consistency.inertias.parameters.tolist()
+    values = dict(zip(result.problem.columns.names, numbers, strict=True))
     kinds = {"offset": "offset"} | ({} if result.robot.setup else {"rotor_inertia": "Ia", "spring": "k"})
-    found = {
-        name: {key: digits(values.get(f"{kind}_{joint}", 0.0)) for key, kind in kinds.items()}
-        for joint, name in enumerate(names, 1)
-    }
-    return {name: kept for name, one in found.items() if (kept := {key: value for key, value in one.items() if value})}
-
-
-def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[str, str], str]:
-    """Return the text of each file by its name, and a line that describes them.
-
-    Args:
-        result: the identification.
-        date: of the identification.
-    """
-    problem = result.problem
-    options = result.options
-    setup = result.robot.setup
-    drives: dict[tuple[str, str], Identified] = {}
-    if setup is not None:
-        base: FolderBase | None = FolderBase.of(setup.files or RobotFiles())
-        urdf = (setup.files or RobotFiles()).urdf
-        note = "a robot folder; what the runs do not determine is as it was"
-    else:
-        urdf = Path(str(options.urdf))
-        base, note = folder_base(problem.arm, urdf)
-        given = {("transmission", "gear"): options.gear, ("motor", "torque_constant"): options.torque_constant}
-        for (block, key), values in given.items():
-            if options.gear is not None and values is not None:
-                provenance = f"as given with --{key.replace('_', '-')}"
-                drives[block, key] = Identified([float(value) for value in values], "assumed", provenance)
-    return robot_texts(result, urdf, base, drives, date), note
+    joints = {}
+    for number, name in enumerate(result.arm.names, 1):
+        stated = {key: digits(values.get(f"{kind}_{number}", 0.0)) for key, kind in kinds.items()}
+        stated = {key: value for key, value in stated.items() if value}
+        if stated:
+            joints[name] = stated
+    return joints
 
 
 _PARAMETERS_HEAD = """\
@@ -351,71 +328,36 @@ _PARAMETERS_HEAD = """\
 """
 
 
-def parameters_text(result: ExcitationIdentification, date: datetime, versions: Mapping[str, str]) -> str:
-    """Return all results of the runs as one YAML file for programs and for the record.
-
-    Args:
-        result: the identification.
-        date: of the identification.
-        versions: of interpreter and libraries.
-    """
+def parameters_text(result: ExcitationIdentification, date: datetime) -> str:
+    """Return the results of the runs beside friction as one YAML file for programs and for the record."""
     fitted = result.fitted
-    bandwidths = result.problem.runs[0].bandwidths
     bodies = result.consistency.inertias
+    deviation = np.where(fitted.determined, fitted.deviation, np.nan)
+    correlation = (fitted.covariance / np.outer(deviation, deviation)).tolist()
     content: dict[str, Any] = {
         "date": date.isoformat(timespec="seconds"),
-        "versions": dict(versions),
+        "versions": versions(),
         "bags": [
             {"path": str(bag.path), "use": use, "sha256": bag.sha256, "duration": digits(bag.duration)}
             for use, bag in result.bags
         ],
-        "bandwidths": _rounded(bandwidths._asdict()),
         "base_parameters": {
-            one.name: {"unit": one.unit, "group": one.group, **_estimate(one.estimate)}
-            | {"consistent": digits(one.consistent)}
-            for one in result.base
+            parameter.name: {
+                "unit": parameter.unit,
+                "group": parameter.group,
+                **_estimate(parameter.estimate),
+                "consistent": digits(parameter.consistent),
+            }
+            for parameter in result.base
         },
         "friction": {
-            name: {parameter: _estimate(estimate) for parameter, estimate in one.estimates.items()}
-            for name, one in zip(result.problem.arm.element_names, result.elements, strict=True)
+            name: {parameter: _estimate(estimate) for parameter, estimate in element.estimates.items()}
+            for name, element in zip(result.arm.element_names, result.elements, strict=True)
         },
-        "trials": [
-            {
-                "element": result.problem.arm.element_names[trial.element],
-                "part": trial.part.value,
-                "kept": trial.kept,
-                "reason": trial.reason,
-            }
-            for trial in fitted.trials
-        ],
-        "fit": {run.source.path.name: _torques(run) for run in result.torques},
-        "validation": {
-            one.torques.source.path.name: {
-                "confirmed": one.passed,
-                **_torques(one.torques),
-                "simplest": _torques(one.simplest),
-                "by_files": _torques(one.files),
-            }
-            for one in result.validations
-        },
-        "bodies": {
-            "distance": digits(bodies.distance),
-            "relative_error": digits(result.consistency.shares[1]),
-            "masses_not_determined": [
-                name for name, one in zip(bodies.prior.joints, bodies.open.tolist(), strict=True) if one
-            ],
-        },
-    }
-    deviation = np.where(fitted.determined, fitted.deviation, np.nan)
-    correlation = (fitted.covariance / np.outer(deviation, deviation)).tolist()
-    content |= {
-        "not_determined": list(result.undetermined),
-        "remarks": [
-            *in_currents(result),
-            *result.notes,
-            *result.warnings,
-            *bodies_warnings(result),
-        ],
+        "fit": {run.source.path.name: {"relative": digits(run.total_share)} for run in result.torques},
+        "validation": {Path(check.source).name: _validation(check) for check in result.validations},
+        "bodies": {"distance": digits(bodies.distance), "relative_error": digits(result.consistency.shares[1])},
+        "remarks": [*in_currents(result), *result.notes, *result.warnings, *bodies_warnings(result)],
         "correlation": {
             "names": list(fitted.names),
             "matrix": [[None if math.isnan(share) else round(share, 3) for share in row] for row in correlation],
@@ -425,24 +367,15 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
     return in_unit(_PARAMETERS_HEAD + yaml_text(content), result.unit)
 
 
-def _rounded(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a mapping with its numbers to six digits, without those that are NaN."""
-    rounded = {key: digits(value) if isinstance(value, float) else value for key, value in values.items()}
-    return {key: value for key, value in rounded.items() if not (isinstance(value, float) and math.isnan(value))}
-
-
 def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
     if not estimate.identifiable:
         return {"identifiable": False, "reason": estimate.reason}
     return {"value": digits(estimate.value), "deviation": digits(estimate.deviation)}
 
 
-def _torques(run: RunTorques) -> dict[str, Any]:
-    figures = [
-        _rounded({"rms": rms, "relative": share})
-        for rms, share in zip(run.rms.tolist(), run.share.tolist(), strict=True)
-    ]
-    # A joint without torque has no share of it.
-    figures = [{key: value for key, value in row.items() if not value > LARGEST} for row in figures]
-    joints = {name: row for name, row in zip(run.names, figures, strict=True) if "rms" in row}
-    return {"relative": digits(run.total_share), "joints": joints}
+def _validation(check: Validation) -> dict[str, Any]:
+    """Return the verdict, and the torque error of all joints by each prediction."""
+    torques = {"by_files": check.torque, "simplest": check.simplest}
+    shares = {name: {"relative": digits(run.total_share)} for name, run in torques.items() if run is not None}
+    fitted = {} if check.fitted is None else {"relative": digits(check.fitted.total_share)}
+    return {"confirmed": check.passed, **fitted, **shares}

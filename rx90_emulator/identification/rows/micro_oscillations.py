@@ -110,7 +110,7 @@ class MicroMotion:
     joints: tuple[int, ...]
 
     @property
-    def own(self) -> float:
+    def driven(self) -> float:
         """Return the least ratio, over the joints, of the RMS torque to that of the other joints' accelerations."""
         others = np.delete(np.arange(self.mass.shape[1]), self.joints)
         reaction = np.std(self.acceleration[:, others] @ self.mass[:, others].T, axis=0)
@@ -120,14 +120,14 @@ class MicroMotion:
     @property
     def inertial(self) -> Array:
         """Return the torques of errors of the mass matrix, one for each pair of joints, Nm, shape (b, k, pairs)."""
-        own = self.acceleration[:, self.joints]
+        acceleration = self.acceleration[:, self.joints]
         inertia = np.diag(self.mass[:, self.joints])
         first, second = np.triu_indices(len(inertia))
         pairs = np.arange(len(first))
-        torque = np.zeros((*own.shape, len(first)))
+        torque = np.zeros((*acceleration.shape, len(first)))
         scale = np.sqrt(inertia[first] * inertia[second])
-        torque[:, first, pairs] = scale * own[:, second]
-        torque[:, second, pairs] = scale * own[:, first]
+        torque[:, first, pairs] = scale * acceleration[:, second]
+        torque[:, second, pairs] = scale * acceleration[:, first]
         return torque
 
     def load(self, break_away: Array) -> float:
@@ -136,21 +136,20 @@ class MicroMotion:
         return float(np.max(0.5 * (high - low) / break_away))
 
 
-def find_micro_motions(
-    record: JointRecord, arm: RigidArm, groups: Sequence[JointGroup], torque_delay: float = 0.0
-) -> list[list[MicroMotion]]:
+def find_micro_motions(record: JointRecord, arm: RigidArm, groups: Sequence[JointGroup]) -> list[list[MicroMotion]]:
     """Return the micro-oscillations of each group of joints that its own motors make, or an empty list.
 
     Args:
         record: a bag's record; the torque of a sample acted until its stamp.
         arm: for weight and mass matrix; its joints are the record's.
         groups: of joints that share friction elements.
-        torque_delay: how much later than recorded the torque acted, s.
     """
-    step, time, position, torque, known = _on_grid(record, torque_delay)
+    step, time, position, torque, known = _on_grid(record)
     # Central differences of fourth order; those of second order are 0.5 % low at 40 Hz and 0.5 ms.
     velocity = np.gradient(position, step, axis=0)
-    velocity[2:-2] = (8.0 * (position[3:-1] - position[1:-3]) - (position[4:] - position[:-4])) / (12.0 * step)
+    near = position[3:-1] - position[1:-3]
+    far = position[4:] - position[:-4]
+    velocity[2:-2] = (8.0 * near - far) / (12.0 * step)
     active = _active(position, step) & known[:, None]
     unit = np.eye(len(arm.names))
     motions: list[list[MicroMotion]] = []
@@ -187,8 +186,8 @@ def find_micro_motions(
 def _driven(motion: MicroMotion, others: Sequence[MicroMotion]) -> bool:
     """Return whether the joints of a motion are moved by their motors, and not by the reactions of other joints."""
     begin, end = motion.interval
-    together = [other.own for other in others if other.interval[0] < end and begin < other.interval[1]]
-    return motion.own >= min(_MIN_OWN_TORQUE, max(together))
+    together = [near.driven for near in others if near.interval[0] < end and begin < near.interval[1]]
+    return motion.driven >= min(_MIN_OWN_TORQUE, max(together))
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,9 +275,13 @@ class BristleRows:
         values = np.exp(x[self.bristles]).reshape(-1, 2)
         starts = x[self.bristles.stop :].reshape(len(self.motions), -1)[number]
         traces = self._traces[number]
-        means = [trace.bristles(c0, start) for trace, (c0, _), start in zip(traces, values, starts, strict=True)]
-        torques = [mean @ (1.0, c1) + trace.viscous for mean, trace, (_, c1) in zip(means, traces, values, strict=True)]
-        return np.column_stack(torques) @ self.inputs, np.column_stack([mean[:, 0] for mean in means])
+        torques = []
+        stiff = []
+        for trace, (c0, c1), start in zip(traces, values, starts, strict=True):
+            mean = trace.bristles(c0, start)
+            torques.append(mean @ (1.0, c1) + trace.viscous)
+            stiff.append(mean[:, 0])
+        return np.column_stack(torques) @ self.inputs, np.column_stack(stiff)
 
     @cached_property
     def _traces(self) -> list[list[_Trace]]:
@@ -328,7 +331,7 @@ class _Trace:
         return block_means(result, _BLOCK)
 
 
-def _on_grid(record: JointRecord, torque_delay: float) -> tuple[float, Array, Array, Array, Mask]:
+def _on_grid(record: JointRecord) -> tuple[float, Array, Array, Array, Mask]:
     """Return step, times, positions and torques on equal steps, and which are not affected by a gap."""
     step = record.period or np.inf
     if 1.0 / step < LOWEST_RATE:
@@ -347,14 +350,8 @@ def _on_grid(record: JointRecord, torque_delay: float) -> tuple[float, Array, Ar
     # Set-points are constant between updates, which makes images of an oscillation near multiples of their rate;
     # without the low-pass, coarser steps would alias them onto it.
     sections = butter(4, min(_LOW_PASS_HZ, 0.4 / step), fs=1.0 / step, output="sos")
-    position = np.asarray(
-        sosfiltfilt(sections, np.column_stack([np.interp(time, there, c) for c in record.position[rows].T]), axis=0)
-    )
-    torque = np.asarray(
-        sosfiltfilt(
-            sections, np.column_stack([np.interp(time - torque_delay, there, c) for c in record.torque[rows].T]), axis=0
-        )
-    )
+    even = np.column_stack([np.interp(time, there, column) for column in values[rows].T])
+    position, torque = np.hsplit(np.asarray(sosfiltfilt(sections, even, axis=0)), 2)
     # The torque is averaged over the simulation's steps; it acts until its stamp.
     factor = max(1, int(_MIN_STEP_S / step + 1e-6))
     chosen = slice(0, 1 + (len(time) - 1) // factor * factor, factor)

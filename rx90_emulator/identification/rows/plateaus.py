@@ -8,23 +8,18 @@ out as a whole.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import median_filter
 
 from rx90_common.base.arrays import Array, Index, Mask
+from rx90_common.base.quoting import counted
 from rx90_emulator.identification.records import BagSource, JointRecord, block_means, stretches
 
 SETTLE_DISTANCE = 5e-3
 """Travel after which a bristle has its steady deflection, rad: ten times g or more for joints of this class."""
-USED = "used"
-CHANGES = "rest or changes of velocity"
-SHORT = "settling or too short"
-BENDS = "acceleration or a crest"
-REASONS = (CHANGES, SHORT, BENDS, USED)
-"""Use of a sample, or the reason why it was not used."""
 _SCALES = ((0.4, 0.025), (0.1, 0.1), (0.02, np.inf))
 """Times over which velocities are compared, s, each with the largest speed for it, rad/s."""
 _LEAST_SAMPLES = 3  # over which a velocity is a mean: single samples at 67 Hz are mostly noise
@@ -44,7 +39,6 @@ _BEND_SD = 3.0  # standard deviations of the blocks' scatter or more
 _BLOCK_S = 0.25
 _BLOCK_TRAVEL = 0.02  # rad: the rigid torque is nearly linear within it
 _BLOCK_SAMPLES = 8
-_LISTED_S = 0.05  # from which a reason is listed
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,31 +67,32 @@ class BagUse:
         bag: the bag.
         stretches: number of plateaus.
         speeds: slowest and fastest speed of each element, rad/s, 0 if there is none, shape (n_el, 2).
-        seconds: by use or reason why not.
+        seconds: of the plateaus together.
+        unsettled: stretches of constant velocity that were too short for servo loops and bristles to settle.
+        bent: stretches that were left out because their velocity bends, as at the crest of a wave.
     """
 
     bag: BagSource
     stretches: int
     speeds: Array
-    seconds: Mapping[str, float]
+    seconds: float
+    unsettled: int
+    bent: int
 
     def text(self, names: Sequence[str]) -> str:
         """Return it as a line, with the elements by these names."""
-        used = "NOTHING"
-        if self.stretches:
-            ranges = [
-                f"{name} {low:.3g} to {high:.3g}"
-                for name, (low, high) in zip(names, self.speeds.tolist(), strict=True)
-                if high
-            ]
-            used = f"{self.seconds[USED]:.3g} s in {self.stretches} stretches, {', '.join(ranges)} rad/s"
-        return f"used {used}; left out {self.reasons}"
+        ranges = [
+            f"{name} {low:.3g} to {high:.3g}"
+            for name, (low, high) in zip(names, self.speeds.tolist(), strict=True)
+            if high
+        ]
+        used = f"{self.seconds:.3g} s of {self.bag.duration:.3g} s in {counted(self.stretches, 'plateau')}"
+        return f"used {used}{', ' if ranges else ''}{', '.join(ranges)}{' rad/s' if ranges else ''}; {self.left_out}"
 
     @property
-    def reasons(self) -> str:
-        """Return the reasons for which time was not used, with the seconds of each."""
-        listed = [(s, reason) for reason, s in self.seconds.items() if reason != USED and s >= _LISTED_S]
-        return ", ".join(f"{s:.3g} s {reason}" for s, reason in sorted(listed, reverse=True)) or "nothing"
+    def left_out(self) -> str:
+        """Return in words which stretches of constant velocity were not used."""
+        return f"left out {self.unsettled} that are too short to settle, {self.bent} whose velocity bends"
 
 
 def find_plateaus(record: JointRecord, elements: Array) -> tuple[list[Plateau], BagUse]:
@@ -107,24 +102,31 @@ def find_plateaus(record: JointRecord, elements: Array) -> tuple[list[Plateau], 
         record: of n joints.
         elements: E, joint velocities to input velocities of the friction elements, shape (n_el, n).
     """
-    state = np.zeros(len(record.time), dtype=np.intp)
+    used = np.zeros(len(record.time), dtype=np.bool_)
     plateaus = []
-    for seconds, fastest in _SCALES if len(state) > 1 else ():
+    unsettled = 0
+    bent = 0
+    for seconds, fastest in _SCALES if len(used) > 1 else ():
         size = max(_LEAST_SAMPLES, round(seconds / record.period))
-        steady = _steady(record, size, fastest) & (state != REASONS.index(USED))
-        for begin, end in stretches(steady):
-            plateau, reason = _settled(record, elements, slice(begin, end))
-            state[begin:end] = REASONS.index(reason)
-            if plateau is not None:
-                state[begin:end] = REASONS.index(SHORT)
-                state[plateau.rows] = REASONS.index(USED)
-                plateaus.append(plateau)
-    speeds = np.array([np.abs(elements @ velocity(record, one.rows)) * one.sliding for one in plateaus])
+        for begin, end in stretches(_steady(record, size, fastest) & ~used):
+            rows = slice(begin, end)
+            sliding = _sliding(record, elements, rows)
+            if not sliding.any():
+                continue
+            rows = _settled(record, elements[sliding], rows)
+            if rows.stop - rows.start < _BLOCK_SAMPLES:
+                unsettled += 1
+            elif _bends(record.velocity[rows] @ elements[sliding].T):
+                bent += 1
+            else:
+                used[rows] = True
+                plateaus.append(Plateau(_blocks(record, elements, rows), sliding))
+    speeds = np.array([np.abs(elements @ velocity(record, plateau.rows)) * plateau.sliding for plateau in plateaus])
     ranges = np.zeros((len(elements), 2))
     for e in np.flatnonzero(speeds.any(axis=0)) if plateaus else ():
         ranges[e] = speeds[speeds[:, e] > 0.0, e].min(), speeds[:, e].max()
-    seconds_of = {reason: float(np.sum(state == k)) * record.period for k, reason in enumerate(REASONS)}
-    return plateaus, BagUse(record.bag, len(plateaus), ranges, seconds_of)
+    lasting = float(used.sum()) * record.period
+    return plateaus, BagUse(record.bag, len(plateaus), ranges, lasting, unsettled, bent)
 
 
 def velocity(record: JointRecord, rows: slice) -> Array:
@@ -141,7 +143,8 @@ def _steady(record: JointRecord, size: int, fastest: float) -> Mask:
     if count <= 4 * size:
         return steady
     time = record.time
-    mean = (record.position[size:] - record.position[:-size]) / (time[size:] - time[:-size])[:, None]
+    lasting = time[size:] - time[:-size]
+    mean = (record.position[size:] - record.position[:-size]) / lasting[:, None]
     change = mean[size:] - mean[:-size]
     speed = np.abs(mean[size:] + mean[:-size]) / 2.0
     # Noise and ripple from second differences of the change: an acceleration that is constant or grows evenly cancels.
@@ -153,31 +156,34 @@ def _steady(record: JointRecord, size: int, fastest: float) -> Mask:
     usual = np.maximum(_SAME_VELOCITY * speed, _REST_SHARE * speed.max(axis=1, keepdims=True))
     allowed = np.maximum(usual, np.minimum(_NOISE_SD * noise, _MOST_NOISE * speed))
     even = time[2 * size :] - time[: -2 * size] < 3.0 * size * record.period
-    steady[size : count - size] = (np.abs(change) <= allowed).all(axis=1) & (speed.max(axis=1) <= fastest) & even
+    same = (np.abs(change) <= allowed).all(axis=1)
+    steady[size : count - size] = same & (speed.max(axis=1) <= fastest) & even
     return steady
 
 
-def _settled(record: JointRecord, elements: Array, rows: slice) -> tuple[Plateau | None, str]:
-    """Return the settled part of a steady stretch, or the reason why it is not used."""
-    inputs = record.position[rows] @ elements.T
-    travel = np.abs(inputs[-1] - inputs[0])
-    sliding = travel * _SETTLE_SHARE >= SETTLE_DISTANCE
-    if not sliding.any():
-        return None, CHANGES
+def _sliding(record: JointRecord, elements: Array, rows: slice) -> Mask:
+    """Return which elements slide and do not stick in a steady stretch, shape (n_el,)."""
+    travel = np.abs((record.position[rows.stop - 1] - record.position[rows.start]) @ elements.T)
+    return np.asarray(travel * _SETTLE_SHARE >= SETTLE_DISTANCE)
+
+
+def _settled(record: JointRecord, sliding: Array, rows: slice) -> slice:
+    """Return the settled part of a steady stretch, for the rows of E of the elements that slide."""
+    inputs = record.position[rows] @ sliding.T
     late = record.time[rows] - record.time[rows.start] >= _SETTLE_S
-    far = (np.abs(inputs - inputs[0])[:, sliding] >= SETTLE_DISTANCE).all(axis=1)
-    ready = np.flatnonzero(late & far)
-    count = len(late) - int(ready[0]) if len(ready) else 0
-    if count < _BLOCK_SAMPLES:
-        return None, SHORT
-    begin = rows.stop - count
-    if _bends(record.velocity[begin : rows.stop] @ elements[sliding].T):
-        return None, BENDS
-    duration = float(record.time[rows.stop - 1] - record.time[begin])
-    way = float(np.abs(inputs[-1] - inputs[-count]).max())
+    ready = np.flatnonzero(late & (np.abs(inputs - inputs[0]) >= SETTLE_DISTANCE).all(axis=1))
+    return slice(rows.start + int(ready[0]) if len(ready) else rows.stop, rows.stop)
+
+
+def _blocks(record: JointRecord, elements: Array, rows: slice) -> Index:
+    """Return first and last sample (exclusive) of each block of a plateau, shape (b, 2)."""
+    count = rows.stop - rows.start
+    duration = float(record.time[rows.stop - 1] - record.time[rows.start])
+    travel = record.position[rows.stop - 1] - record.position[rows.start]
+    way = float(np.abs(travel @ elements.T).max())
     number = max(1, min(int(max(duration / _BLOCK_S, way / _BLOCK_TRAVEL)), count // _BLOCK_SAMPLES))
-    edges = begin + np.arange(number + 1) * count // number
-    return Plateau(np.column_stack([edges[:-1], edges[1:]]), sliding), USED
+    edges = rows.start + np.arange(number + 1) * count // number
+    return np.column_stack([edges[:-1], edges[1:]])
 
 
 def _bends(speeds: Array) -> bool:
@@ -188,4 +194,5 @@ def _bends(speeds: Array) -> bool:
     fitted = basis @ (basis.T @ means)
     scatter = np.sqrt(np.sum((means - fitted) ** 2, axis=0) / max(1, len(means) - 3))
     change = np.ptp(fitted, axis=0)
-    return bool(np.any((change > _MAX_BEND * np.abs(means.mean(axis=0))) & (change > _BEND_SD * scatter)))
+    large = change > _MAX_BEND * np.abs(means.mean(axis=0))
+    return bool(np.any(large & (change > _BEND_SD * scatter)))

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import accumulate
 
 import numpy as np
 from scipy.linalg import qr
@@ -44,8 +43,6 @@ class Blocks:
         plateau: number of each block's plateau, shape (b,).
         velocity: of the elements in each plateau, rad/s, shape (p, n_el).
         sliding: which elements slide in it, shape (p, n_el).
-        source: number of its record, shape (p,).
-        time: of it in the series, s, shape (p,).
         duration: of it, s, shape (p,).
     """
 
@@ -54,8 +51,6 @@ class Blocks:
     plateau: Index
     velocity: Array
     sliding: Mask
-    source: Index
-    time: Array
     duration: Array
 
 
@@ -66,32 +61,32 @@ def find_blocks(records: Sequence[JointRecord], elements: Array) -> tuple[Blocks
         records: of the same joints.
         elements: E, joint velocities to input velocities of the friction elements, shape (n_el, n).
     """
-    begins = accumulate((float(record.time[-1] - record.time[0]) for record in records), initial=0.0)
-    plateaus: list[tuple[int, float, Plateau]] = []
     usage = []
-    for source, (record, begin) in enumerate(zip(records, begins, strict=False)):
-        pieces, use = find_plateaus(record, elements)
+    means = []
+    velocities = []
+    sliding = []
+    duration = []
+    for record in records:
+        plateaus, use = find_plateaus(record, elements)
         usage.append(use)
-        plateaus += [
-            (source, begin + float(record.time[piece.rows].mean() - record.time[0]), piece) for piece in pieces
-        ]
-    if not plateaus:
-        each = "; ".join(f"{record.source}: {use.reasons}" for record, use in zip(records, usage, strict=True))
+        for plateau in plateaus:
+            means.append(_block_means(record, plateau))
+            velocities.append(elements @ velocity(record, plateau.rows))
+            sliding.append(plateau.sliding)
+            duration.append(np.ptp(record.time[plateau.rows]))
+    if not means:
+        reasons = "; ".join(f"{use.bag.path}: {use.left_out}" for use in usage)
         raise IdentificationError(
-            f"{each or 'no bag'}: no stretch of constant velocity; accepted: sweeps at constant velocity"
+            f"{reasons or 'no bag'}: no stretch of constant velocity; accepted: sweeps at constant velocity"
         )
-    means = [_block_means(records[source], plateau) for source, _, plateau in plateaus]
-    speeds = np.array([velocity(records[source], plateau.rows) for source, _, plateau in plateaus])
     joined = np.concatenate(means, axis=1)
     blocks = Blocks(
         motion=joined[:3],
         torque=joined[3],
         plateau=np.repeat(np.arange(len(means)), [part.shape[1] for part in means]),
-        velocity=speeds @ elements.T,
-        sliding=np.array([plateau.sliding for _, _, plateau in plateaus]),
-        source=np.array([source for source, _, _ in plateaus]),
-        time=np.array([time for _, time, _ in plateaus]),
-        duration=np.array([np.ptp(records[source].time[plateau.rows]) for source, _, plateau in plateaus]),
+        velocity=np.array(velocities),
+        sliding=np.array(sliding),
+        duration=np.array(duration),
     )
     return blocks, tuple(usage)
 
@@ -137,7 +132,8 @@ def sweep_rows(blocks: Blocks, arm: RigidArm, elements: Index) -> SweepRows:
     slide = blocks.sliding & np.isin(np.arange(len(arm.element_names)), elements)
     torque = blocks.torque - arm.torque(*blocks.motion)
     # The torque and its derivatives by the inertial parameters.
-    both = np.concatenate([torque[:, :, None], arm.regressor(*blocks.motion) * arm.inertial_scale()], axis=2)
+    columns = arm.regressor(*blocks.motion) * arm.inertial_scale()
+    both = np.concatenate([torque[:, :, None], columns], axis=2)
     parts = []
     gains = []
     plateaus = []
@@ -165,7 +161,8 @@ def sweep_rows(blocks: Blocks, arm: RigidArm, elements: Index) -> SweepRows:
         rows = np.flatnonzero(gain[:, e])
         velocity = blocks.velocity[plateau[rows], e]
         speed = np.abs(velocity)
-        steady.append(SteadyRows(rows, velocity, gain[rows, e], Speeds(float(speed.min()), float(speed.max()))))
+        speeds = Speeds(float(speed.min()), float(speed.max()))
+        steady.append(SteadyRows(rows, velocity, gain[rows, e], speeds))
     friction = FrictionRows(
         target=joined[:, 0],
         linear=joined[:, 1:],

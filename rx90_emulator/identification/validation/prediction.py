@@ -35,17 +35,17 @@ from rx90_emulator.identification.rows.excitation import ExcitationProblem
 from rx90_emulator.identification.rows.filtering import Bandwidths, FilteredRun, filter_record, recording_notes
 from rx90_emulator.identification.sanity import Recorded, alarms
 from rx90_emulator.identification.sliding import SlidingFit
-from rx90_emulator.identification.validation.measured import (
-    read_setpoints,
-    run_along,
-    setpoint_rows,
-)
 from rx90_emulator.identification.validation.verdict import (
     Criterion,
     RunTorques,
     largest,
     run_torques,
     torque_criteria,
+)
+from rx90_emulator.measured_runs.compare import (
+    read_setpoints,
+    run_along,
+    setpoint_rows,
 )
 
 _MAX_WEIGHT_SD = 0.05  # standard deviation over RMS torque up to which a joint's error of the weights is corrected
@@ -68,6 +68,9 @@ class Validation:
         unit: of the torques, which are currents if the friction was identified from currents.
         notes: what was left out of the bag, if it is compared with a given friction.
         assumed_bristles: whether c0 and c1 of any element are assumed: then torques at reversals do not judge the rest.
+        fitted: torques by identified base parameters, beside those by the files with possible bodies; None where the
+            bodies are the description's.
+        simplest: of a rigid body with Coulomb and viscous friction, fitted to the same runs.
     """
 
     names: tuple[str, ...]
@@ -80,6 +83,8 @@ class Validation:
     unit: str = "Nm"
     notes: tuple[str, ...] = ()
     assumed_bristles: bool = False
+    fitted: RunTorques | None = None
+    simplest: RunTorques | None = None
 
     rms = property(attrgetter("torque.rms"), doc="RMS torque difference, Nm, shape (n,); NaN for a joint at rest.")
     worst = property(attrgetter("torque.worst"), doc="Largest torque difference, Nm, shape (n,); NaN as in `rms`.")
@@ -107,20 +112,34 @@ class Validation:
         limits = self.tolerances
         torque = self.torque.away_from_reversals if self.assumed_bristles else self.torque
         where = ", away from reversals" if self.assumed_bristles else ""
-        worst = largest("largest torque difference", self.names, torque.worst_share, limits.worst_torque)
-        return (
-            *torque_criteria(self.names, torque.total_share, torque.rms_share, limits.total, limits.torque, where),
-            *([worst] if math.isfinite(limits.worst_torque) else []),
-            Criterion("tip worst", self.tip_worst, limits.tip, unit="µm"),
+        criteria: list[Criterion] = []
+        if self.fitted is not None:
+            where = f" by the files{where}"
+            criteria += torque_criteria(
+                self.names, self.fitted.total_share, self.fitted.rms_share, limits.total, limits.torque
+            )
+        criteria += torque_criteria(
+            self.names, torque.total_share, torque.rms_share, limits.total, limits.torque, where
         )
+        if math.isfinite(limits.worst_torque):
+            criteria.append(largest("largest torque difference", self.names, torque.worst_share, limits.worst_torque))
+        if len(self.tip_distance):
+            criteria.append(Criterion("tip worst", self.tip_worst, limits.tip, unit="µm"))
+        return tuple(criteria)
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Return, in words, what assumed bristles miss at reversals."""
-        if not self.assumed_bristles:
-            return ()
-        share = self.torque.at_reversals.total_share
-        return (f"at reversals, where the assumed c0 and c1 act, {share:.2%}",) if math.isfinite(share) else ()
+        """Return, in words, what assumed bristles miss at reversals, and what the simplest model does."""
+        remarks = []
+        if self.assumed_bristles:
+            share = self.torque.at_reversals.total_share
+            if math.isfinite(share):
+                remarks.append(f"at reversals, where the assumed c0 and c1 act, {share:.2%}")
+        if self.simplest is not None:
+            remarks.append(f"Coulomb and viscous friction alone {self.simplest.total_share:.2%}")
+        if len(self.tip_distance):
+            remarks.append(f"tip RMS {self.tip_rms * 1e6:.2f} µm")
+        return tuple(remarks)
 
     @property
     def passed(self) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import bz2
 import faulthandler
 import os
 import re
@@ -14,6 +13,7 @@ import sys
 import tracemalloc
 import zipfile
 from collections.abc import Callable
+from contextlib import nullcontext
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -29,8 +29,10 @@ from backports import zstd
 from bag_making import JOINT_STATE, ROS1, ROS2, as_sqlite, joint_state, series, write_ros1, write_ros2
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
+from rx90_common.bags import limits
 from rx90_common.bags.reading import BagReader, read_joint_bag, read_joint_states
 from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.storage import MCAP_MAGIC
@@ -75,22 +77,15 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
     "missing": (shutil.rmtree, "no such bag"),
     "foreign folder": (
         lambda bag: [*(file.unlink() for file in bag.iterdir()), (bag / "letter.txt").write_text("hello")],
-        "not a bag",
+        "no bag, or without metadata.yaml, which 'ros2 bag reindex' writes; accepted: ",
     ),
     "no YAML": (text(b"{]"), "metadata.yaml: not valid YAML"),
     "empty": (text(b""), "metadata.yaml: holds nothing"),
     "binary": (text(b"\xff\xfe"), "metadata.yaml: cannot be read"),
     "aliases": (text(ALIASES.encode()), "metadata.yaml: not valid YAML (more than 150,000 values"),
-    "without topics": (metadata(lambda c: c.pop("topics_with_message_count")), "topics_with_message_count"),
-    "with other count": (
-        metadata(lambda c: [one.update(message_count=31) for one in (c, topic_of(c))]),
-        "metadata.yaml says 31 messages of /joint_states",
-    ),
-    "with 1e20": (metadata(lambda c: topic_of(c).update(message_count=1e20)), "is 1e+20; accepted: an integer >= 0"),
-    "with -1": (metadata(lambda c: topic_of(c).update(message_count=-1)), "is -1; accepted: an integer >= 0"),
-    "with other type": (
-        metadata(lambda c: topic_of(c)["topic_metadata"].update(type="a/msg/B")), "metadata.yaml says",
-    ),
+    "without files": (metadata(lambda c: c.pop("relative_file_paths")), "damaged: KeyError: 'relative_"),
+    "with other count": (metadata(lambda c: c.update(message_count=31)), "says 31 messages, the storage holds 30; "),
+    "with a text for a count": (metadata(lambda c: c.update(message_count="x")), "metadata.yaml says 'x' messages"),
     "with other file": (metadata(lambda c: c.update(relative_file_paths=["other.mcap"])), "other.mcap is missing"),
     "storage gone": (lambda bag: (bag / "bag.mcap").unlink(), "bag.mcap is missing, which metadata.yaml names"),
     "storage empty": (truncate(0.0), "bag.mcap is empty"),
@@ -115,28 +110,11 @@ def test_each_damage_is_one_line(tmp_path: Path, damage: str, capsys: pytest.Cap
     spoil, complaint = DAMAGES[damage]
     spoil(bad)
     for words in (["info", str(bad)], ["compare", str(good), str(bad)]):
-        assert run("rx90_bag", words) == 2
+        assert run("rx90 bag", words) == 2
         out, err = capsys.readouterr()
         assert (out, err.count("\n")) == ("", 1)
-        assert err.startswith(f"rx90_bag: {bad}: ")
+        assert err.startswith(f"rx90 bag: {bad}: ")
         assert complaint in err
-
-
-@pytest.mark.parametrize("rows", ["1", "20, 3, 4", "30"])
-def test_deleted_rows_are_noticed(tmp_path: Path, rows: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """A database that is read alone says how many messages were deleted from it, unless these were the last ones."""
-    write_joint_states(tmp_path / "bag", [series(30)])
-    file = as_sqlite(tmp_path / "bag").rename(tmp_path / "made") / "bag_sqlite.db3"
-    with sqlite3.connect(file) as database:
-        database.execute(f"DELETE FROM messages WHERE id IN ({rows})")
-    database.close()
-    last, lost = rows == "30", len(rows.split(","))
-    assert run("rx90_bag", ["info", str(file)]) == (0 if last else 2)
-    err = capsys.readouterr().err
-    assert last or err == (
-        f"rx90_bag: {file}: bag_sqlite.db3 is damaged: {lost} messages are gone: the last one has number 30, "
-        f"{30 - lost} are there; 'ros2 bag convert' makes a bag of these\n"
-    )
 
 
 def test_bags_without_joint_states(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -146,13 +124,13 @@ def test_bags_without_joint_states(tmp_path: Path, capsys: pytest.CaptureFixture
     write_joint_states(tmp_path / "text", [], messages=[string_message("robot_description", "x")])
     os.mkfifo(tmp_path / "pipe")
     for name, complaint in (
-        ("empty", "holds no messages\n"),
-        ("text", "holds no JointState topic, only /robot_description\n"),
-        ("pipe", "no file that can be read twice; accepted: "),
+        ("empty", "holds no joint states, only /joint_states\n"),
+        ("text", "holds no joint states, only /robot_description\n"),
+        ("pipe", "no bag, or without metadata.yaml"),
     ):
         for pair in (("good", name), (name, "good")):
-            assert run("rx90_bag", ["compare", *(str(tmp_path / n) for n in pair)]) == 2
-            assert capsys.readouterr().err.startswith(f"rx90_bag: {tmp_path / name}: {complaint}")
+            assert run("rx90 bag", ["compare", *(str(tmp_path / n) for n in pair)]) == 2
+            assert capsys.readouterr().err.startswith(f"rx90 bag: {tmp_path / name}: {complaint}")
 
 
 def test_killed_sqlite3_recorder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -168,14 +146,13 @@ def test_killed_sqlite3_recorder(tmp_path: Path, capsys: pytest.CaptureFixture[s
     killed = tmp_path / "killed"
     shutil.copytree(tmp_path / "bag", killed)  # as a process leaves it that is killed now
     bag.close()
-    for path in (killed, killed / "bag.db3"):
-        assert run("rx90_bag", ["info", str(path)]) == 2
-        assert "bag.db3 was not closed" in capsys.readouterr().err
+    assert run("rx90 bag", ["info", str(killed / "bag.db3")]) == 2
+    assert "bag.db3 was not closed" in capsys.readouterr().err
     with sqlite3.connect(killed / "bag.db3") as database:
         database.execute("CREATE TABLE opened(x)")
     database.close()
-    assert run("rx90_bag", ["info", str(killed / "bag.db3")]) == 0
-    assert " 1001 messages" in capsys.readouterr().out
+    assert run("rx90 bag", ["info", str(killed / "bag.db3")]) == 0
+    assert ": 1001 messages" in capsys.readouterr().out
 
 
 Messages = list[tuple[str, int, bytes]]
@@ -344,7 +321,6 @@ OTHERWISE: dict[str, Damage] = {
     "another encoding": metadata(lambda c: topic_of(c)["topic_metadata"].update(serialization_format="other")),
     "another storage": metadata(lambda c: c.update(storage_identifier="other")),
     "a later version": metadata(lambda c: c.update(version=99)),
-    "no metadata": lambda bag: (bag / "metadata.yaml").unlink(),
 }
 
 
@@ -380,19 +356,17 @@ def test_types_that_cannot_be_parsed_and_compressed_bags(
             writer.write(joints, stamp, ROS2.serialize_cdr(joint_state(stamp, ["a"], [1.0]), JOINT_STATE))
         writer.write(events, 5, b"\0\1\0\0" + bytes(16))
         writer.write(old, 7, bytes(ROS1.serialize_ros1(joint_state(9, ["b"], [2.0], store=ROS1), JOINT_STATE)))
-    kind = {"mcap": "mcap", "sqlite3": "db3"}[storage]
     (file,) = (file for file in bag.iterdir() if file.name != "metadata.yaml")
     for path in (bag, shutil.copy(file, tmp_path / "alone")):
         summary = summarise(path)
-        assert summary.storage == kind
         assert {t.topic: t.count for t in summary.topics} == {"/joint_states": 40, "/add/_service_event": 1, "/old": 1}
         read = read_joint_bag(path).series
         assert read["/joint_states"][0].stamp_ns.tolist() == STAMPS
         assert (read["/old"][0].names, read["/old"][0].stamp_ns.tolist()) == (("b",), [9])
-    assert run("rx90_bag", ["compare", str(bag), str(bag)]) == 0
+    assert run("rx90 bag", ["compare", str(bag), str(bag)]) == 0
     assert "; 1 other topic not compared\n" in capsys.readouterr().out
-    assert run("rx90_bag", ["info", str(bag)]) == 0
-    assert f"{bag}: {kind}, " in capsys.readouterr().out
+    assert run("rx90 bag", ["info", str(bag)]) == 0
+    assert f"{bag}: 42 messages\n" in capsys.readouterr().out
 
 
 INDEXES = {"all": IndexType.ALL, "none of chunks": IndexType.MESSAGE, "no chunks": IndexType.ALL,
@@ -438,38 +412,28 @@ def test_an_mcap_file_is_read_by_whatever_index_it_has(
     assert found == [("/other" if stamp < STAMPS[20] else "/late", stamp) for stamp in STAMPS]
 
 
-@pytest.mark.parametrize("known", [True, False])
-def test_files_of_a_split_recording_need_their_metadata(
-    tmp_path: Path, known: bool, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Parts come in the order of log time, equal times in that of the list; without metadata each is read alone."""
+def test_files_of_a_split_recording_need_their_metadata(tmp_path: Path) -> None:
+    """Parts come in the order of the list; without metadata each is read alone."""
     bag = tmp_path / "bag"
     bag.mkdir()
     names = [f"bag_{i}.mcap" for i in range(9, 12)]
     for i, name in enumerate(names):
         write_joint_states(tmp_path / f"part_{i}", [series(2, seed=i)])
         shutil.copy(tmp_path / f"part_{i}" / f"part_{i}.mcap", bag / name)
-    if known:
-        shutil.copy(tmp_path / "part_0" / "metadata.yaml", bag)
-        metadata(lambda c: (c.update(relative_file_paths=names), topic_of(c).update(message_count=6)))(bag)
-        read = read_joint_states(bag, "joint_states")
-        parts = [series(2, seed=i).position for i in range(3)]
-        np.testing.assert_array_equal(
-            read.position, np.vstack([part[row : row + 1] for row in (0, 1) for part in parts])
-        )
-    else:
-        assert run("rx90_bag", ["info", str(bag)]) == 2
-        assert f"{bag}: metadata.yaml is missing, and there are {', '.join(sorted(names))}; accepted: one file" in (
-            capsys.readouterr().err
-        )
+    with pytest.raises(BagError, match=r"no bag, or without metadata\.yaml"):
+        read_joint_states(bag, "joint_states")
+    shutil.copy(tmp_path / "part_0" / "metadata.yaml", bag)
+    metadata(lambda c: c.update(relative_file_paths=names, message_count=6))(bag)
+    parts = [series(2, seed=i).position for i in range(3)]
+    np.testing.assert_array_equal(read_joint_states(bag, "joint_states").position, np.vstack(parts))
 
 
 def test_names_in_a_bag_forge_no_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A topic with line breaks in its name, or of thousands of characters, is one short row of the summary."""
     hostile = "/a\n[INFO] [rx90_sim]: all is well\u202e" + "x" * 100_000
     write_joint_states(tmp_path / "bag", [series(3, topic=hostile)])
-    assert run("rx90_bag", ["info", str(tmp_path / "bag")]) == 0
-    assert run("rx90_bag", ["compare", "--topics", "/b", "--", *[str(tmp_path / "bag")] * 2]) == 2
+    assert run("rx90 bag", ["info", str(tmp_path / "bag")]) == 0
+    assert run("rx90 bag", ["compare", "--topic", "/b", "--", *[str(tmp_path / "bag")] * 2]) == 2
     out, err = capsys.readouterr()
     assert (out.count("\n"), err.count("\n")) == (3, 1)
     assert max(len(out), len(err)) < 1500
@@ -567,6 +531,20 @@ def test_texts_beside_the_columns_of_a_parquet_file_are_not_read(tmp_path: Path)
     assert int(done.stdout) <= 500
 
 
+def test_arrays_of_a_large_file_unpack_to_few_times_its_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beyond the limit of small files it is 4 times the size, as arrays are in memory at once: 3 times is read."""
+    monkeypatch.setattr(limits, "_MAX_WHOLE_BYTES", 0)
+    noise = np.random.default_rng(3).bytes(100_000)
+    for zeros, is_read in ((200_000, True), (500_000, False)):
+        with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in (("a", noise), ("b", bytes(zeros))):
+                values = BytesIO()
+                np.save(values, np.frombuffer(content, np.uint8))
+                archive.writestr(f"{name}.npy", values.getvalue())
+        with nullcontext() if is_read else pytest.raises(limits.DamagedError, match="accepted: up to"):
+            assert len(limits.load_arrays(tmp_path / "a.npz")["b"]) == zeros
+
+
 def bomb_of_a_file(path: Path) -> None:
     """Write a bag that is compressed as a whole, and does not state its size."""
     packer = zstd.ZstdCompressor()
@@ -577,11 +555,14 @@ def bomb_of_a_file(path: Path) -> None:
 
 def bomb_of_ros1(path: Path, stated: int, size: int = 100 << 20, count: int = 1) -> None:
     """Write a bag of ROS 1 with chunks of zeros."""
-    packed = bz2.compress(bytes(size))
-    fields = (b"op=\x05", b"compression=bz2", b"size=" + struct.pack("<I", stated))
-    head = b"".join(struct.pack("<I", len(field)) + field for field in fields)
-    parts = (struct.pack("<I", len(part)) + part for part in (head, packed))
-    path.write_bytes(b"#ROSBAG V2.0\n" + b"".join(parts) * count)
+    writer = Rosbag1Writer(path)
+    writer.set_compression(Rosbag1Writer.CompressionFormat.BZ2)
+    with writer:
+        connection = writer.add_connection("/joint_states", JOINT_STATE, typestore=ROS1)
+        for _ in range(count):
+            writer.write(connection, 0, bytes(size))
+    content = re.sub(rb"size=....", b"size=" + struct.pack("<I", stated), path.read_bytes(), flags=re.DOTALL)
+    path.write_bytes(content)
 
 
 BOMBS = {
@@ -613,5 +594,7 @@ def test_what_unpacks_to_far_more_is_refused_before(name: str, tmp_path: Path) -
     )
     assert not done.stderr
     line, peak = done.stdout.splitlines()
-    assert re.search("bytes unpacked; accepted: up to|another length than 1,000 bytes|is no NPZ file, or damaged", line)
+    assert re.search(
+        "bytes unpacked; accepted: up to|another length than 1,000 bytes|is damaged, or no such table", line
+    )
     assert int(peak) <= 500

@@ -14,10 +14,10 @@ import pytest
 import yaml
 
 from rx90_common.base.share import config_path
+from rx90_common.description.poses import Poses
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles, shipped_robots
 from rx90_common.description.shapes import drawn_shapes
-from rx90_emulator.identification.experiments.plan import Poses
 from rx90_emulator.loop.setup import Setup
 from tools import moveit_files
 

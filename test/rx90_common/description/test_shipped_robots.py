@@ -19,7 +19,7 @@ from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_emulator.identification.arm import rigid_torque
+from rx90_common.rigid_torque import rigid_torque
 from rx90_emulator.loop.setup import Setup
 
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from rx90_common.base.errors import ConfigError, Rx90Error
+from rx90_common.description.joint_model import joint_model
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.identification.arm import joint_model
 
 LINK_5 = '<mass value="1.2"/>'
 INERTIA_5 = 'ixx="0.0022" ixy="0" ixz="0" iyy="0.0023" iyz="0" izz="0.0008"'

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rx90_common.arm_dynamics import body_dtype, inverse_dynamics, manipulator_record, mass_and_bias
 from rx90_common.description.robot import load_robot
-from rx90_emulator.identification.arm import rigid_torque
+from rx90_common.rigid_torque import rigid_torque
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]

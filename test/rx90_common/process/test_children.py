@@ -85,7 +85,7 @@ time.sleep(600)
 @pytest.mark.parametrize(
     ("command", "up"),
     [
-        pytest.param("executable('rx90_bag', 'record', '--output', 'bag', 'none')", "waiting for", id="command"),
+        pytest.param("executable('rx90 bag', 'record', '--output', 'bag', 'none')", "waiting for", id="command"),
         pytest.param(f"[sys.executable, '-c', {DEAF!r}]", "up", id="deaf to SIGINT"),
     ],
 )
@@ -134,5 +134,5 @@ def test_children_run_no_module_of_the_working_folder(tmp_path: Path, monkeypatc
     for name in (*names, "sitecustomize", "usercustomize", "signal", "threading"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('hostile')\n", encoding="ascii")
     monkeypatch.chdir(tmp_path)
-    child = ChildProcess("check", executable("rx90_config", "check", config_path("robots/rx90b/friction.yaml")))
+    child = ChildProcess("check", executable("rx90 config", "check", config_path("robots/rx90b/friction.yaml")))
     assert (child.wait(), "hostile" in child.output) == (0, False), child.output

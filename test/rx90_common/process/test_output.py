@@ -13,11 +13,11 @@ from rx90_common.process.children import executable
 
 pytestmark = pytest.mark.slow
 
-TOOLS = {"rx90_line": ["--from-file", "robots/rx90b/task.yaml", "--dry-run"], "rx90_sim": ["--help"]}
+TOOLS = {"rx90 line": ["robots/rx90b/task.yaml", "--dry-run"], "rx90_sim": ["--help"]}
 # Stands for a tool that prints more than a buffer holds, and has something to end in order.
 LONG = """
 import sys
-from rx90_emulator.cli import frame
+from rx90_emulator.cli import frame, options
 def add_arguments(parser):
     pass
 def main(options):
@@ -26,8 +26,9 @@ def main(options):
             print(k)
     finally:
         print("ended", file=sys.stderr)
-frame.EXECUTABLES["tool"] = "__main__"
-sys.exit(frame.tool())
+frame.VERBS = ("tool",)
+options.module_of = lambda name: sys.modules["__main__"]
+sys.exit(frame.execute("rx90 tool"))
 """
 
 

@@ -1,4 +1,4 @@
-"""rx90_config: what is wrong in files, what a setup comes to, and completion in a real shell."""
+"""rx90 config: what is wrong in files, what a setup comes to, and completion in a real shell."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from needs import need
 from rx90_common.base.config import read_yaml
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.cli.frame import EXECUTABLES, run
+from rx90_emulator.cli.frame import EXECUTABLES, VERBS, run
 from rx90_emulator.configuration.check import kind_of
 from rx90_emulator.configuration.origins import setup_values
 
@@ -48,7 +48,7 @@ def show(capsys: Captured) -> Show:
     """Return a function that shows a setup and returns its values by their names."""
 
     def call(*words: str) -> dict[str, dict[str, object]]:
-        assert run("rx90_config", ["show", "--json", *words]) == 0, capsys.readouterr().err
+        assert run("rx90 config", ["show", "--json", *words]) == 0, capsys.readouterr().err
         return {one["name"]: one for one in json.loads(capsys.readouterr().out)}
 
     return call
@@ -75,7 +75,7 @@ def test_all_problems_of_files_are_told_with_their_lines(arm: Path, capsys: Capt
     edited(friction, ("tau_c: 18.0", "tau_c: 38.0"))
     edited(task, ("speed: 0.1", "speed: [0.1"))
     files = [str(path) for path in (tool, friction, task)]
-    assert run("rx90_config", ["check", *files]) == 1
+    assert run("rx90 config", ["check", *files]) == 1
     said = capsys.readouterr().out.splitlines()
     assert said[1:3] == [
         f"{tool}:{line_of(tool, 'mass:')}: inertial.mass is -3.5; accepted: a number > 0",
@@ -85,7 +85,7 @@ def test_all_problems_of_files_are_told_with_their_lines(arm: Path, capsys: Capt
     assert said[0].startswith(colour)
     assert said[3].startswith(f"{friction}:{line_of(friction, 'joint_3:')}: elements.joint_3.tau_s is 23.0")
     assert re.match(rf"{re.escape(str(task))}:\d+: not valid YAML", said[4])
-    assert run("rx90_config", ["check", "nowhere.yaml", *files]) == 2
+    assert run("rx90 config", ["check", "nowhere.yaml", *files]) == 2
     again = capsys.readouterr()
     assert again.out.splitlines() == said
     assert "nowhere.yaml: no such file" in again.err
@@ -107,7 +107,7 @@ def test_of_the_faults_of_a_large_file_the_first_are_told(text: str, tmp_path: P
     """They are some lines, of which the last one says how many more there are."""
     path = tmp_path / "large.yaml"
     path.write_text(text, encoding="utf-8")
-    assert run("rx90_config", ["check", "--kind", "friction", str(path)]) == 1
+    assert run("rx90 config", ["check", "--kind", "friction", str(path)]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) < 50
     if len(lines) > 4:
@@ -120,11 +120,8 @@ def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captu
         assert kind_of(path, read_yaml(path, first=True)).name == kind, path
     odd = tmp_path / "odd.yaml"
     odd.write_text("mass: 1.0\n", encoding="utf-8")
-    assert run("rx90_config", ["check", str(odd)]) == 2
-    assert (
-        "odd.yaml: of no kind that its keys tell, as MoveIt's own files; accepted: --kind with one of"
-        in capsys.readouterr().err
-    )
+    assert run("rx90 config", ["check", str(odd)]) == 2
+    assert "odd.yaml: of no kind that its keys tell; accepted: --kind with drives, tool" in capsys.readouterr().err
     slip = tmp_path / "slip.yaml"
     for wrong, said in (
         ("joint_name: [a]\npoints: []\n", ":1: joint_name is not a known key (did you mean joint_names?); accepted"),
@@ -136,13 +133,13 @@ def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captu
         ),
     ):
         slip.write_text(wrong, encoding="utf-8")
-        assert run("rx90_config", ["check", str(slip)]) == 1
+        assert run("rx90 config", ["check", str(slip)]) == 1
         line = capsys.readouterr().out.splitlines()[0]
         assert said in line
-        assert run("rx90_correct", ["learn", str(slip), "--output", str(tmp_path / "new.yaml")]) == 2
+        assert run("rx90 correct", ["engine", str(slip), "--output", str(tmp_path / "new.yaml")]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert said.removeprefix(":1").removeprefix(":2") in line
-    assert run("rx90_config", ["check", "--kind", "tool", str(odd)]) == 1
+    assert run("rx90 config", ["check", "--kind", "tool", str(odd)]) == 1
     assert f"{odd}:1: mass is not a known key" in capsys.readouterr().out
 
 
@@ -152,7 +149,7 @@ def test_a_urdf_is_checked_as_one(tmp_path: Path, shipped_files: RobotFiles, cap
     path = tmp_path / "robot.urdf"
     for change, code, said in (("revolute", 0, "no problem"), ("twisting", 1, "'joint_1' type is 'twisting'")):
         path.write_text(text.replace("revolute", change), encoding="utf-8")
-        assert run("rx90_config", ["check", str(path)]) == code
+        assert run("rx90 config", ["check", str(path)]) == code
         assert said in capsys.readouterr().out
 
 
@@ -170,14 +167,14 @@ def test_a_robot_folder_is_checked_as_a_whole(
     arm: Path, capsys: Captured, file: str, change: tuple[str, str], said: str
 ) -> None:
     """Names of joints and poses must fit the arm; one fault in a good folder is one line."""
-    assert run("rx90_config", ["check", str(arm)]) == 0
+    assert run("rx90 config", ["check", str(arm)]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == f"{arm}: robot folder, no problem"
     edited(arm / file, change)
-    assert run("rx90_config", ["check", str(arm)]) == 1
+    assert run("rx90 config", ["check", str(arm)]) == 1
     lines = [line for line in capsys.readouterr().out.splitlines() if not line.endswith(", no problem")]
     assert re.search(said, lines[0]), lines
     (arm / "drives.yaml").unlink()
-    assert run("rx90_config", ["check", str(arm)]) == 1
+    assert run("rx90 config", ["check", str(arm)]) == 1
     assert f"{arm}/drives.yaml: is missing; accepted: a drives file" in capsys.readouterr().out
 
 
@@ -185,10 +182,10 @@ def test_a_parameter_file_of_the_nodes_is_checked(tmp_path: Path, capsys: Captur
     """Unknown names, ranges and numbers of values are told for each node, in any namespace; other nodes are let be."""
     file = tmp_path / "nodes.yaml"
     file.write_text(NODE_FILE + "rviz2: {ros__parameters: {odd: 1}}\n", encoding="utf-8")
-    assert run("rx90_config", ["check", str(file)]) == 0
+    assert run("rx90 config", ["check", str(file)]) == 0
     assert capsys.readouterr().out == f"{file}: node_parameters, no problem\n"
     edited(file, ("factor: 0.5", "factor: -1"), ("4, 5, 6]", "4, 5, 6, 7, 8]"), ("coulomb:", "columb:"))
-    assert run("rx90_config", ["check", str(file)]) == 1
+    assert run("rx90 config", ["check", str(file)]) == 1
     said = capsys.readouterr().out.splitlines()
     assert said[0] == (
         f"{file}:3: /**/rx90_sim.ros__parameters.real_time_factor is -1; accepted: a number in [0, 1000]"
@@ -244,24 +241,25 @@ def test_units_defaults_and_the_choice_of_files_are_shown(show: Show) -> None:
 
 
 OFFERED = {
-    "rx90_bag ": {"record", "compare", "info", "import"},
-    "friction_bench ": {"selftest"},
+    "rx90 bag ": {"record", "compare", "info", "import"},
+    "rx90 ": set(VERBS),
+    "rx90 identify ": {"sliding", "excitation", "check", "compare"},
     "friction_bench --ros-": {"--ros-args"},
-    "friction_bench selftest --po": {"--port"},
-    "rx90_bag export --for": {"--format"},
-    "rx90_bag export --format ": {"csv", "npz"},
-    "rx90_bag record motor_s": {"motor_states"},
-    "rx90_run --robot r": {"rx90b", "robots"},
-    "rx90_run --task m": {"my_task.yaml"},
-    "rx90_run --output ": {"robots"},
-    "rx90_sweep run sweep/p": {"sweep/payload_and_speed.yaml"},
-    "rx90_config check m": {"my_task.yaml"},
+    "rx90 rig selftest --po": {"--port"},
+    "rx90 bag export --for": {"--format"},
+    "rx90 bag export --format ": {"csv", "npz"},
+    "rx90 bag record motor_s": {"motor_states"},
+    "rx90 run --robot r": {"rx90b", "robots"},
+    "rx90 identify sliding --presl": {"--presliding"},
+    "rx90 run --output ": {"robots"},
+    "rx90 sweep run sweep/p": {"sweep/payload_and_speed.yaml"},
+    "rx90 config check m": {"my_task.yaml"},
     "rx90_sim --params-file m": {"my_task.yaml"},
     **{f"{name} --": {"--help"} for name in EXECUTABLES},
 }
 """What completion offers at least behind some words, in a folder with `robots` and `my_task.yaml`."""
-IN_FISH = {words: OFFERED[words] for words in ("rx90_bag ", "rx90_bag export --format ", "rx90_sweep run sweep/p")}
-IN_FISH |= {"rx90_run --robot ": {"rx90b", "tx40"}, "rx90_config check m": {"my_task.yaml"}}
+IN_FISH = {words: OFFERED[words] for words in ("rx90 bag ", "rx90 bag export --format ", "rx90 sweep run sweep/p")}
+IN_FISH |= {"rx90 run --robot ": {"rx90b", "tx40"}, "rx90 config check m": {"my_task.yaml"}}
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
@@ -269,7 +267,7 @@ def test_shells_complete_verbs_options_files_and_robots(shell: str, tmp_path: Pa
     """Each executable has its completion; real shells that are there offer what there is, for verbs, too."""
     (tmp_path / "robots").mkdir()
     (tmp_path / "my_task.yaml").touch()
-    assert run("rx90_config", ["completion", shell]) == 0
+    assert run("rx90 completion", [shell]) == 0
     script = capsys.readouterr().out
     for name in EXECUTABLES:
         assert re.search(rf"^(complete|\s*compdef) (-c {name} |.*\b{name}$)", script, re.MULTILINE), name
@@ -321,7 +319,7 @@ def test_show_names_the_files_of_the_controller_s_model(
 def test_a_check_waits_for_no_library_that_it_does_not_use() -> None:
     """What takes longer to import than a file to check is left out: of SciPy, Matplotlib, Bokeh and PyArrow."""
     file = config_path("robots/rx90b/task.yaml")
-    code = f"import sys; from rx90_emulator.cli.frame import run; run('rx90_config', ['check', {str(file)!r}]); "
+    code = f"import sys; from rx90_emulator.cli.frame import run; run('rx90 config', ['check', {str(file)!r}]); "
     code += "print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
     slow = {"scipy.signal", "scipy.interpolate", "scipy.optimize", "scipy.stats", "matplotlib", "bokeh", "pyarrow"}

@@ -17,7 +17,7 @@ from rx90_common.base.errors import REFUSED
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import FILES
 from rx90_common.process.children import executable
-from rx90_emulator.cli.frame import EXECUTABLES, run
+from rx90_emulator.cli.frame import COMMANDS, VERBS, run
 from rx90_emulator.cli.options import CommandParser, command_of, split_ros_args
 
 
@@ -35,50 +35,59 @@ HELP = """
 import os
 import sys
 from rx90_emulator.cli import frame
-sys.argv[1:] = ["--help"]
-for name in frame.EXECUTABLES:
-    code = getattr(frame, name)()
-    slow = {"numba", "scipy", "rclpy"} & set(sys.modules)
+for words in (["rx90"], *(name.split() for name in frame.COMMANDS)):
+    code = frame.execute(words[0], [*words[1:], "--help"])
+    slow = {"numba", "numpy", "scipy", "rclpy", "pydantic"} & set(sys.modules)
     print("end", code, sorted(slow), os.environ["OPENBLAS_NUM_THREADS"], flush=True)
 """
 
 
 @pytest.mark.parametrize("threads", [None, "3"])
 def test_help_needs_neither_compiler_nor_middleware(threads: str | None) -> None:
-    """Executables print help and exit codes without numba, SciPy or rclpy, and have told OpenBLAS its threads."""
+    """Commands print help and exit codes without NumPy, Pydantic or rclpy, and have told OpenBLAS its threads."""
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads or ""}
     if threads is None:
         del environment["OPENBLAS_NUM_THREADS"]
     command = [sys.executable, "-c", HELP]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=True)
-    pages = done.stdout.split(f"end 0 [] {threads or 1}\n")
-    assert pages.pop() == ""
-    for name, text in zip(EXECUTABLES, pages, strict=True):
+    first, *pages, end = done.stdout.split(f"end 0 [] {threads or 1}\n")
+    assert end == ""
+    named = re.findall(r"^  ([a-z, ]+?)  ", first, re.MULTILINE)
+    assert sorted(", ".join(named).split(", ")) == sorted(set(VERBS) - {"completion"})
+    for name, text in zip(COMMANDS, pages, strict=True):
         assert text.startswith(f"usage: {name} ")
         assert "exit status: 0 done" in text
         assert text.endswith("gone.\n")
 
 
-@pytest.mark.parametrize("name", ["rx90_nothing", "rx90_run"])
-def test_wrong_usage_is_the_exit_code(name: str) -> None:
-    """As a process, an option that there is not and an executable that there is not end with 2 as well."""
-    done = subprocess.run(executable(name, "--nonsense"), capture_output=True, text=True, timeout=60, check=False)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("usage: ")
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("rx90 nothing", "rx90: 'nothing' is no verb; accepted: experiment, identify, rig, "),
+        ("rx90 run --nonsense", "rx90 run: unrecognized arguments: --nonsense; rx90 run --help says what is accepted"),
+        ("rx90 bag --nonsense", "rx90 bag: the following arguments are required: VERB; rx90 bag --help says "),
+        ("rx90_sim --nonsense", "rx90_sim: unrecognized arguments: --nonsense; rx90_sim --help says what is accepted"),
+    ],
+)
+def test_wrong_usage_is_a_line_and_the_exit_code(words: str, said: str) -> None:
+    """As a process, an option and a verb that there are not end with 2 and one line."""
+    done = subprocess.run(executable(words), capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert done.stderr.startswith(said)
 
 
 @pytest.fixture(scope="module")
 def options() -> dict[str, list[argparse.Action]]:
-    """Return the arguments of every executable and its verbs."""
+    """Return the arguments of every command and its verbs."""
     found = {}
-    for name, place in EXECUTABLES.items():
-        parser, _ = command_of(name, place)
+    for name in COMMANDS:
+        parser, _ = command_of(name)
         found[name] = list(actions(parser))
     return found
 
 
 def test_options_say_what_they_take(options: dict[str, list[argparse.Action]]) -> None:
-    """Files that a help names are there, and an option takes the same in all commands, but for `--excitation`."""
+    """Files that a help names are there, and an option takes the same in all commands."""
     kinds: dict[str, set[tuple[type, object]]] = {}
     for action in itertools.chain(*options.values()):
         for file in re.findall(r"[a-z]+/\w+\.(?:yaml|urdf)", f"{action.help} {action.default}"):
@@ -87,36 +96,36 @@ def test_options_say_what_they_take(options: dict[str, list[argparse.Action]]) -
         for flag in action.option_strings:
             metavar = action.metavar if flag[2:] in {*FILES, "robot", "node", "timeout"} else None
             kinds.setdefault(flag, set()).add((type(action), metavar))
-    assert {flag for flag, found in kinds.items() if len(found) > 1} == {"--excitation"}
+    assert {flag for flag, found in kinds.items() if len(found) > 1} == set()
     assert {kinds[f"--{role}"].pop()[1] for role in FILES} == {"FILE"}
     assert (kinds["--robot"].pop()[1], kinds["--node"].pop()[1]) == ("ROBOT", "NAME")
 
 
 WRITTEN = {
-    "--output": {
-        "friction_ramp": [],
-        "rx90_bag": ["record"],
-        "rx90_controller_check": [],
-        "rx90_correct": ["learn", "nowhere"],
-        "rx90_demo": [],
-        "rx90_experiment": ["run", "--engine", "--robot", "nowhere"],
-        "rx90_export": ["urdf", "--robot", "nowhere"],
-        "rx90_identify": ["nowhere"],
-        "rx90_line": ["--task", "nowhere"],
-        "rx90_own_controller": ["--engine", "--robot", "nowhere"],
-        "rx90_path": ["nowhere"],
-        "rx90_program": ["nowhere"],
-        "rx90_run": ["--task", "nowhere"],
-        "rx90_sweep": ["run", "nowhere"],
-    },
-    "--report": {
-        "rx90_identify": ["nowhere"],
-        "rx90_compare_measured": ["nowhere"],
-        "rx90_program": ["nowhere"],
-        "rx90_sweep": ["run", "nowhere", "--output", "x"],
-    },
-    "--arrays": {"rx90_run": ["--task", "nowhere"]},
-    "bag": {"rx90_bag": ["import", "--signals", "nowhere", "nowhere"]},
+    "--output": [
+        "rx90 bag record",
+        "rx90 check",
+        "rx90 correct engine nowhere",
+        "rx90 demo",
+        "rx90 example engine --robot nowhere",
+        "rx90 experiment sliding engine --robot nowhere",
+        "rx90 export urdf --robot nowhere",
+        "rx90 identify sliding nowhere",
+        "rx90 line nowhere",
+        "rx90 path nowhere",
+        "rx90 program engine nowhere",
+        "rx90 replay nowhere",
+        "rx90 rig ramp",
+        "rx90 run nowhere",
+        "rx90 sweep run nowhere",
+    ],
+    "--report": [
+        "rx90 identify compare nowhere",
+        "rx90 program engine nowhere",
+        "rx90 sweep run nowhere --output x",
+    ],
+    "--arrays": ["rx90 replay nowhere", "rx90 run nowhere"],
+    "": ["rx90 bag import --signals nowhere nowhere"],
 }
 """By what is written, the commands that write it, with inputs that there are not."""
 
@@ -128,18 +137,21 @@ def test_what_is_written_is_looked_at_before_anything_else(
 
     Nobody writes below /proc, not even root.
     """
+    listed = set()
     for option, commands in WRITTEN.items():
-        for name, words in commands.items():
-            assert run(name, [*words, *([option] if option.startswith("-") else []), "/proc/x"]) == REFUSED
+        for words in commands:
+            verb = " ".join(words.split()[:2])
+            listed.add((option, verb))
+            assert run(words, [option, "/proc/x"] if option else ["/proc/x"]) == REFUSED
             error = capsys.readouterr().err.splitlines()
-            assert error[-1].startswith(f"{name}: /proc/x: cannot be written ("), error
+            assert error[-1].startswith(f"{verb}: /proc/x: cannot be written ("), error
     writers = {
         (flag, name)
         for name, found in options.items()
         for action in found
         for flag in {"--output", "--report", "--arrays"}.intersection(action.option_strings)
     }
-    assert writers == {(option, name) for option, names in WRITTEN.items() for name in names if option != "bag"}
+    assert writers == {(option, verb) for option, verb in listed if option}
 
 
 def test_arguments_for_ros_end_at_two_dashes() -> None:

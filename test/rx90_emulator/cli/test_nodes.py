@@ -15,7 +15,7 @@ from processes import Start
 
 from rx90_common.base.requirements import SOURCES, is_ros, missing_module
 from rx90_common.base.share import ROOT
-from rx90_emulator.cli.frame import EXECUTABLES
+from rx90_emulator.cli.frame import COMMANDS
 
 NODE = """
 import sys, time
@@ -54,8 +54,7 @@ RUN = """
 import sys
 from rx90_emulator.cli import frame, node
 node.NODES["stub"] = "stub_node"
-frame.EXECUTABLES["stub"] = "rx90_emulator.cli.node"
-sys.exit(frame.stub())
+sys.exit(frame.execute("stub"))
 """
 
 
@@ -123,25 +122,27 @@ CALLS = {
     "rx90_controller": ([], "numpy"),
     "rx90_cell": ([], "rclpy"),
     "friction_bench": ([], "serial"),
-    "friction_ramp": (["--output", "out"], "tqdm"),
-    "friction_rig_emulator": ([], "numba"),
-    "rx90_bag": (["record", "--output", "bag"], "rosbags"),
-    "rx90_compare_measured": (["bag"], "scipy"),
-    "rx90_config": (["completion", "bash"], "shtab"),
-    "rx90_controller_check": (["true"], "rclpy"),
-    "rx90_correct": (["learn", "robots/rx90b/task.yaml", "--output", "out.yaml"], "scipy"),
-    "rx90_demo": ([], "bokeh"),
-    "rx90_experiment": (["plan"], "rosbags"),
-    "rx90_export": (["mujoco-classic", "--output", "out"], "scipy"),
-    "rx90_identify": (["bag", "--output", "out.yaml"], "yaml"),
-    "rx90_line": (["--from-file", "robots/rx90b/task.yaml"], "yaml"),
-    "rx90_own_controller": (["--engine"], "pinocchio"),
-    "rx90_monitor": ([], "lark"),
-    "rx90_path": (["paths/circle.yaml"], "numba"),
-    "rx90_program": (["a.v2"], "lark"),
-    "rx90_run": ([], "pinocchio"),
-    "rx90_sweep": (["info", "out.parquet"], "pyarrow"),
-    "rx90_view": (["--port", "0", "--no-browser"], "viser"),
+    "rx90 rig ramp": (["--output", "out"], "tqdm"),
+    "rx90 rig emulator": ([], "numba"),
+    "rx90 bag": (["record", "--output", "bag"], "rosbags"),
+    "rx90 identify compare": (["bag"], "scipy"),
+    "rx90 completion": (["bash"], "shtab"),
+    "rx90 config": (["show"], "pinocchio"),
+    "rx90 check": (["true"], "rclpy"),
+    "rx90 correct": (["engine", "robots/rx90b/task.yaml", "--output", "out.yaml"], "scipy"),
+    "rx90 demo": ([], "bokeh"),
+    "rx90 experiment sliding": (["plan"], "rosbags"),
+    "rx90 export": (["mujoco-classic", "--output", "out"], "scipy"),
+    "rx90 identify": (["sliding", "bag", "--output", "out.yaml"], "yaml"),
+    "rx90 line": ([], "yaml"),
+    "rx90 example": (["engine"], "pinocchio"),
+    "rx90 monitor": (["engine"], "lark"),
+    "rx90 path": (["paths/circle.yaml"], "numba"),
+    "rx90 program": (["engine", "a.v2"], "lark"),
+    "rx90 replay": (["bag"], "pinocchio"),
+    "rx90 run": ([], "pinocchio"),
+    "rx90 sweep": (["info", "out.parquet"], "pyarrow"),
+    "rx90 view": (["--port", "0", "--no-browser"], "viser"),
 }
 """A call of each executable that begins its work, and a package without which that cannot be done."""
 
@@ -188,12 +189,12 @@ for program, words, package, broken in json.load(sys.stdin):
 
 def test_every_executable_says_what_is_missing(tmp_path: Path) -> None:
     """Without a package each executable, a node too, ends with 3 and a line: package, distribution, how to get it."""
-    assert set(CALLS) == set(EXECUTABLES)
+    assert {" ".join(name.split()[:2]) for name in CALLS} == set(COMMANDS)
     program_of_vplus = tmp_path / "a.v2"
     program_of_vplus.write_text(".PROGRAM a()\n.END\n", encoding="utf-8")
     cases = [(name, words, package, False) for name, (words, package) in CALLS.items()]
     cases += [("rx90_sim", [], "numba", broken) for broken in (False, True)]
-    cases += [("rx90_sweep", ["info", "x"], "pyarrow", True)]
+    cases += [("rx90 sweep", ["info", "x"], "pyarrow", True)]
     done = subprocess.run(
         [sys.executable, "-c", CHILD], input=json.dumps(cases), cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True, timeout=600,
@@ -201,10 +202,11 @@ def test_every_executable_says_what_is_missing(tmp_path: Path) -> None:
     answers = [json.loads(line) for line in done.stdout.splitlines()]
     for (program, words, package, broken), (code, errors) in zip(cases, answers, strict=True):
         assert (code, errors.count("\n")) == (3, 1), (program, words, package, errors)
+        command = " ".join(program.split()[:2])
         if broken:
-            start = f"{program}: {package} cannot be loaded (NumPy 1.26.4 is too old); accepted: a version"
+            start = f"{command}: {package} cannot be loaded (NumPy 1.26.4 is too old); accepted: a version"
         else:
-            start = f"{program}: needs {package}, which is not installed; accepted: "
+            start = f"{command}: needs {package}, which is not installed; accepted: "
             where = "a sourced ROS 2 Jazzy" if is_ros(package) else SOURCES[package]
             assert where in errors.removeprefix(start), errors
         assert errors.startswith(start), errors

@@ -13,8 +13,8 @@ from rx90_common.bags.writing import write_joint_states
 from rx90_emulator.cli.frame import run
 
 LONG = "x" * 250
-LINE = "rx90_line --from-file robots/rx90b/task.yaml"
-EXCITATION = "rx90_experiment plan --excitation"
+LINE = "rx90 line robots/rx90b/task.yaml"
+EXCITATION = "rx90 experiment excitation plan"
 TOO_LONG = "its name has 250 bytes; accepted: up to 243"
 
 
@@ -52,14 +52,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("record -o new 'joint states'", "topic 'joint states': no name that ROS accepts"),
         ("record -o new a /a", "topic /a stands twice; accepted: each topic once"),
         (f"record -o {LONG}", TOO_LONG),
-        ("rx90_run --output there", "there exists; accepted: a new name"),
-        ("rx90_run --start-time 1e10", "start time is 10000000000.0 s; accepted: a finite number up to 2.14748e+09 s"),
-        ("rx90_run --from-bag x --start-time 1", "--start-time with --from-bag; accepted: the times in the bag"),
+        ("rx90 run --output there", "there exists; accepted: a new name"),
+        ("rx90 run --start-time 1e10", "start time is 10000000000.0 s; accepted: a finite number up to 2.14748e+09 s"),
+        ("rx90 run --initial-position 0", "--initial-position has 1 number; accepted: 6, one for each joint"),
         (f"{LINE} --acceleration 40 --dry-run", "would refuse the line: point 2: joint_1 has"),
         (f"{EXCITATION} --wall 0 0 0 1", "--wall 0 0 0 1; accepted: NX NY NZ D"),
         (f"{EXCITATION} --wall 0 0 -1 -1", "tcp to --wall 0 0 -1 -1 is too near"),
         (f"{EXCITATION} --share 0.05", "even of a small one the torque of joint_"),
-        ("rx90_demo --task far.yaml", "out of reach"),
+        ("rx90 demo --task far.yaml", "out of reach"),
     ],
 )
 def test_what_cannot_be_done_is_one_line(
@@ -68,11 +68,12 @@ def test_what_cannot_be_done_is_one_line(
     """Exit code 2, one line with what is wrong, nothing on standard output; no file is made or overwritten."""
     monkeypatch.chdir(folder)
     before = {path: path.lstat().st_mtime_ns for path in folder.rglob("*")}
-    name, *arguments = shlex.split(words if words.startswith(("rx90_", "friction_")) else f"rx90_bag {words}")
-    assert run(name, arguments) == 2
+    command = words if words.startswith("rx90 ") else f"rx90 bag {words}"
+    name = " ".join(command.split()[:2])
+    assert run("rx90", shlex.split(command)[1:]) == 2
     out, err = capsys.readouterr()
     *usage, line = err.splitlines()
-    assert out == "" or name == "rx90_line"  # which shows the line before it is sent
+    assert out == "" or name == "rx90 line"  # which shows the line before it is sent
     assert not usage or usage[0].startswith("usage: ")
     assert line.startswith(f"{name}: ")
     assert complaint in line

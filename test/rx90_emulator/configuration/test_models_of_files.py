@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from config_samples import EVERY_KIND, shipped, written
+from config_samples import shipped, written
 from full_friction import write_with_parts
 from jsonschema import Draft202012Validator
 
@@ -118,7 +118,7 @@ def changes(schema: dict[str, Any], content: Any, tried: set[str]) -> Iterator[t
             yield wrong, f"{name}.no_such_key is not a known key; accepted: ".removeprefix("."), None
 
 
-@pytest.mark.parametrize("kind", EVERY_KIND, ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
 def test_what_the_schema_excludes_is_refused_in_a_line_that_names_the_place(
     kind: FileKind, samples: list[tuple[str, Path]]
 ) -> None:

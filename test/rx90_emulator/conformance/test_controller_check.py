@@ -1,4 +1,4 @@
-"""The command rx90_controller_check, with the CS7B's node and with a controller that is not this project's."""
+"""The command rx90 check, with the CS7B's node and with a controller that is not this project's."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WEAK = """\
 
 def checked(folder: Path, *words: object) -> tuple[int, dict[str, Any]]:
     """Check a controller in this process; return the exit code and what the check has written."""
-    code = run("rx90_controller_check", ["--output", str(folder), *map(str, words)])
+    code = run("rx90 check", ["--output", str(folder), *map(str, words)])
     return code, dict(json.loads((folder / "result.json").read_text(encoding="utf-8")))
 
 
@@ -58,7 +58,7 @@ def test_bad_gains_do_not_pass_and_it_is_said_what_decided(tmp_path: Path, capsy
     assert "<h2>step</h2>" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     said = [line for line in capsys.readouterr().err.splitlines() if "tracking_error_rms of joint_" in line]
     assert len(said) == 1
-    assert said[0].startswith("rx90_controller_check: step: ")
+    assert said[0].startswith("rx90 check: step: ")
     assert " rad; accepted: up to " in said[0]
 
 
@@ -67,7 +67,13 @@ def test_another_controller_follows_set_points_at_motors_or_joints_in_the_same_b
     """An rclpy node without trajectories follows set-points by their stamps: with torques of the motors at 4 kHz."""
     runs = {}
     for name, side in (("motor", "motor"), ("joint", "joint"), ("again", "joint")):
-        words = ["--case", "step", "--set-points", "set_points", "--command-interface", side]
+        words = [
+            "--case",
+            "step",
+            "--set-points",
+            "set_points",
+            *(["--joint-commands", "1000"] if side == "joint" else []),
+        ]
         code, found = checked(tmp_path / name, *words, *OWN, side)
         assert code in (DONE, VERDICT_NO)
         runs[name] = found["findings"]
@@ -90,7 +96,7 @@ def test_a_controller_that_ends_or_is_silent(
 ) -> None:
     """It could not be carried out: exit code 3, one line that says why, no report."""
     options = ["--output", str(tmp_path / "out"), "--case", "step", "--timeout", "2"]
-    assert run("rx90_controller_check", [*options, *words]) == FAILED
+    assert run("rx90 check", [*options, *words]) == FAILED
     assert said in capsys.readouterr().err.splitlines()[-1]
     assert not (tmp_path / "out" / "report.html").exists()
 
@@ -100,7 +106,7 @@ def test_an_interrupted_check_leaves_no_controller(processes: Processes, tmp_pat
     options = ("--output", tmp_path / "out", "--case", "step")
     pid = tmp_path / "pid"
     program = f"import os, pathlib, time; pathlib.Path({str(pid)!r}).write_text(str(os.getpid())); time.sleep(60)"
-    check = processes.start("rx90_controller_check", *options, sys.executable, "-c", program)
+    check = processes.start("rx90 check", *options, sys.executable, "-c", program)
     wait_until(lambda: pid.is_file() and bool(pid.read_text(encoding="utf-8")), "the controller")
     check.signal(2)  # type: ignore[arg-type]
     assert check.wait() == INTERRUPTED

@@ -364,22 +364,22 @@ def test_a_corrected_trajectory_helps_less_than_offsets(shipped: Setup, task: rx
 
 
 def test_the_command_learns_shows_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`rx90_correct` learns, shows what it has learned, and refuses what does not go together with 2 and a line."""
+    """`rx90 correct` learns, shows what it has learned, and refuses what does not go together with 2 and a line."""
     output = tmp_path / "line.yaml"
-    words = ["learn", "robots/rx90b/task.yaml", "--trials", "1", "--output", str(output)]
-    assert run("rx90_correct", words) == 0
+    words = ["engine", "robots/rx90b/task.yaml", "--trials", "1", "--output", str(output)]
+    assert run("rx90 correct", words) == 0
     assert "trial 1: worst 0.02" in capsys.readouterr().out
-    assert run("rx90_correct", ["show", str(output)]) == 0
+    assert run("rx90 correct", ["show", str(output)]) == 0
     assert "path of 5.600 s, up to 100 mm/s" in capsys.readouterr().out
     to = ["--output", str(tmp_path / "corrected.yaml")]
-    assert run("rx90_correct", ["precompensate", str(output), "robots/rx90b/task.yaml", *to]) == 0
+    assert run("rx90 correct", ["precompensate", str(output), "robots/rx90b/task.yaml", *to]) == 0
     assert "worst path error on the engine: 0.0" in capsys.readouterr().out
     assert len(load_trajectory(tmp_path / "corrected.yaml", [f"joint_{k}" for k in range(1, 7)]).times) == 2801
     tables = []
     for name, more in (("asked", []), ("played", ["--correction", str(output)])):
         table = tmp_path / f"{name}.csv"
-        words_of_line = ["--from-file", "robots/rx90b/task.yaml", "--dry-run", "--output", str(table), *more]
-        assert run("rx90_line", words_of_line) == 0
+        words_of_line = ["robots/rx90b/task.yaml", "--dry-run", "--output", str(table), *more]
+        assert run("rx90 line", words_of_line) == 0
         tables.append(np.loadtxt(table, delimiter=",", skiprows=1))
     asked, played = tables
     with np.load(tmp_path / "line.npz") as file:
@@ -393,13 +393,13 @@ def test_the_command_learns_shows_and_refuses(tmp_path: Path, capsys: pytest.Cap
     for row in played[200::900]:
         np.testing.assert_allclose(row[7:10], 1e3 * tip_pose(robot, np.radians(row[1:7]))[:3, 3], atol=1e-4)
     message = ["--output", str(tmp_path / "message.yaml"), *more]
-    assert run("rx90_line", [*words_of_line[:3], *message]) == 0
+    assert run("rx90 line", [*words_of_line[:2], *message]) == 0
     assert "message.yaml, without the correction; set-points with it: FILE.csv" in capsys.readouterr().out
-    assert run("rx90_line", [*words_of_line, "--set-point-rate", "500"]) == 2
+    assert run("rx90 line", [*words_of_line, "--rate", "500"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
     mine = tmp_path / "mine.npz"
     mine.write_bytes(b"mine")
-    assert run("rx90_correct", [*words[:-1], str(tmp_path / "mine.yaml")]) == 2
+    assert run("rx90 correct", [*words[:-1], str(tmp_path / "mine.yaml")]) == 2
     assert mine.read_bytes() == b"mine"
     assert "mine.npz exists" in capsys.readouterr().err
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rx90_common.base.arrays import Array
+from rx90_common.rigid_torque import rigid_torque
 from rx90_emulator.correction.linearise import linearise
-from rx90_emulator.identification.arm import rigid_torque
 from rx90_emulator.loop.setup import Setup
 
 

@@ -173,12 +173,12 @@ def test_speeds_are_those_of_the_identification(shipped: Setup, tmp_path: Path) 
 def test_verdict_and_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Exit code 1 where a torque differs by more than was asked for; a bad range is one line, and writes nothing."""
     words = ["mujoco", "--robot", "tx40"]
-    assert run("rx90_export", [*words, "--output", str(tmp_path / "a"), "--within", "10"]) == DONE
+    assert run("rx90 export", [*words, "--output", str(tmp_path / "a"), "--within", "10"]) == DONE
     assert (tmp_path / "a" / "export.yaml").is_file()
     words = ["isaaclab", "--robot", "tx40"]
-    assert run("rx90_export", [*words, "--output", str(tmp_path / "b"), "--within", "0.01"]) == VERDICT_NO
+    assert run("rx90 export", [*words, "--output", str(tmp_path / "b"), "--within", "0.01"]) == VERDICT_NO
     assert "joint_5 differs by up to 11.8 Nm; accepted: 0.01 Nm" in capsys.readouterr().err
-    assert run("rx90_export", [*words, "--output", str(tmp_path / "c"), "--speeds", "2", "1"]) == REFUSED
+    assert run("rx90 export", [*words, "--output", str(tmp_path / "c"), "--speeds", "2", "1"]) == REFUSED
     assert "speeds from 2 to 1 rad/s; accepted" in capsys.readouterr().err
     assert not (tmp_path / "c").exists()
 
@@ -204,7 +204,7 @@ def test_bad_input_is_one_line(
     position = {"columns": ["a", "b"], "unit": "rad"}
     mapping = {"time": {"column": "t", "unit": "s"}, "names": ["panda_1", "panda_2"], "position": position}
     Path("other.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
-    assert run("rx90_export", [*words, "--output", "out"]) == REFUSED
+    assert run("rx90 export", [*words, "--output", "out"]) == REFUSED
     assert reason in capsys.readouterr().err.splitlines()[-1]
     assert not Path("out").exists()
 
@@ -216,7 +216,7 @@ def test_no_controller_is_needed(tmp_path: Path) -> None:
     file = rx.FrictionFile.read(folder / "friction.yaml")
     found = file.replaced(identification={"speeds": {"arm_2": [0.02, 1.5]}})
     (folder / "friction.yaml").write_text(found.text(), encoding="utf-8")
-    assert run("rx90_export", ["mujoco", "--robot", str(folder), "--output", str(tmp_path / "out")]) == DONE
+    assert run("rx90 export", ["mujoco", "--robot", str(folder), "--output", str(tmp_path / "out")]) == DONE
     fits = yaml.safe_load((tmp_path / "out" / "export.yaml").read_text(encoding="utf-8"))["friction"]
     assert fits["arm_2"]["speeds"] == pytest.approx([0.02, 1.5])
     assert fits["arm_1"]["speeds"] == pytest.approx([1e-3, 3.0])

@@ -57,8 +57,8 @@ def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the bags of a short series for joint 3, whose neighbours react, on the engine."""
 
     def make(folder: Path) -> None:
-        words = ["--engine", "--quick", "--group", "joint_3", "--output", str(folder)]
-        assert run("rx90_experiment", ["run", *words]) == DONE
+        words = ["--quick", "--group", "joint_3", "--output", str(folder)]
+        assert run("rx90 experiment sliding engine", words) == DONE
 
     return made_once(tmp_path_factory, "series", make)
 
@@ -70,7 +70,7 @@ def identified(series: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[
     def make(folder: Path) -> None:
         folder.mkdir()
         with redirect_stdout(io.StringIO()) as said:
-            code = run("rx90_identify", [str(series), "--output", str(folder / "friction.yaml")])
+            code = run("rx90 identify sliding", [str(series), "--output", str(folder / "friction.yaml")])
         assert code == DONE, said.getvalue()
         (folder / "said.txt").write_text(said.getvalue(), encoding="utf-8")
 

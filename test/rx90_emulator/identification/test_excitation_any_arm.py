@@ -15,12 +15,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 
 from rx90_common.base.errors import DONE, REFUSED
-from rx90_common.base.share import config_path
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.experiments.arms import robot_of_urdf
-from rx90_emulator.identification.experiments.options import Wall
-from rx90_emulator.identification.experiments.workspace import Workspace
-from rx90_emulator.loop.setup import Setup
 
 pytestmark = pytest.mark.slow
 
@@ -31,7 +26,7 @@ SHARE = 0.8
 
 
 def _plan(*words: str) -> int:
-    return run("rx90_experiment", ["plan", "--excitation", *words])
+    return run("rx90 experiment excitation any", words)
 
 
 @pytest.fixture(scope="module")
@@ -110,22 +105,6 @@ def test_the_table_of_set_points_is_the_trajectory(motions: Path) -> None:
     for order in range(3):
         there = curve(rows[inside, 0], nu=order)
         np.testing.assert_allclose(rows[inside, 1 + 7 * order : 8 + 7 * order], there, rtol=1e-6, atol=1e-7)
-
-
-def test_the_tool_counts_for_the_table(shipped: Setup) -> None:
-    """A tool is fixed to `tool0`; its tip, by Pinocchio and the tool file, is what comes nearest to the table."""
-    assert shipped.files is not None
-    urdf = shipped.files.urdf
-    robot = robot_of_urdf(urdf, None, config_path("robots/rx90b/tool.yaml"))
-    tool = yaml.safe_load(config_path("robots/rx90b/tool.yaml").read_text())
-    q = np.array([0.2, 0.9, 1.1, -0.1, 0.95, 0.6])
-    model = pin.buildModelFromUrdf(str(urdf))
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    tip = data.oMf[model.getFrameId("tool0")].act(np.array(tool["tcp"]["position"], dtype=np.float64))
-    workspace = Workspace(robot, [Wall.above(0.1)], q, 0.02)
-    (number,) = [k for k, pair in enumerate(workspace.pairs) if pair.startswith("tcp to --keep-above")]
-    assert workspace.distances(q[None])[0, number] == pytest.approx(tip[2] - 0.1, abs=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -13,16 +13,17 @@ import pytest
 from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import DONE
+from rx90_common.base.errors import REFUSED, IdentificationError
+from rx90_common.description.wall import Wall
+from rx90_common.description.workspace import Workspace
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification import job as identification_job
+from rx90_emulator.identification import excitation as identification
 from rx90_emulator.identification.excitation import identify_excitation
 from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.excitation import ExcitationSearch, plan_excitation
-from rx90_emulator.identification.experiments.options import ExcitationOptions, Wall
+from rx90_emulator.identification.experiments.options import ExcitationOptions
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, read_index, write_index
 from rx90_emulator.identification.experiments.series import run_on_engine
-from rx90_emulator.identification.experiments.workspace import Workspace
 from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.loop.setup import Setup
 
@@ -248,7 +249,7 @@ def test_the_arm_does_not_touch_itself(shipped: Setup) -> None:
 def test_a_folder_of_excitation_runs_is_identified_as_such(
     plan: tuple[Experiment, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`rx90_identify FOLDER` takes runs and validation from the index; one of a series of sweeps names none."""
+    """`identify excitation FOLDER` takes runs and validation from the index; one of a series of sweeps names none."""
     runs = [plan[0], replace(plan[0], name="unseen", kind=Kind.VALIDATION)]
     write_index(tmp_path, runs[1:])
     (tmp_path / "unseen").mkdir()
@@ -257,8 +258,13 @@ def test_a_folder_of_excitation_runs_is_identified_as_such(
     (tmp_path / "excitation_1").mkdir()
     write_index(tmp_path, runs)
     seen: list[object] = []
-    monkeypatch.setattr(identification_job, "run_excitation", lambda *given, **_: seen.append(given) or True)
-    assert run("rx90_identify", [str(tmp_path), "--output", str(tmp_path / "out")]) == DONE
+
+    def refused(*given: object, **_: object) -> None:
+        seen.append(given)
+        raise IdentificationError("enough")
+
+    monkeypatch.setattr(identification, "identify_excitation", refused)
+    assert run("rx90 identify excitation", [str(tmp_path), "--output", str(tmp_path / "out")]) == REFUSED
     (given,) = seen
     assert (given[0], given[2]) == ((tmp_path / "excitation_1",), (tmp_path / "unseen",))  # type: ignore[index]
 

@@ -11,16 +11,16 @@ import pytest
 from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.base.errors import ConfigError, ExchangeError, IdentificationError
 from rx90_common.description.robot_files import RobotFiles
+from rx90_controller.trajectory.motion import Motion
 from rx90_emulator.identification.experiments.arms import PlannedArm
-from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import (
     Experiment,
     Kind,
     PlanOptions,
-    Poses,
     directions,
     make_plan,
     plan_experiments,
+    poses_of,
     read_index,
     sweep_speeds,
 )
@@ -34,7 +34,7 @@ HOME = (0.0,) * 6
 def test_the_plan_keeps_every_limit(shipped: Setup) -> None:
     """Each experiment of the default plan stays within ranges, speeds and torques, by the controller's own check."""
     for experiment in make_plan(shipped.robot, shipped.drives):
-        assert np.allclose(experiment.points.position[[0, -1]], Poses.of(shipped).home.position, atol=1e-12)
+        assert np.allclose(experiment.points.position[[0, -1]], poses_of(shipped).home.position, atol=1e-12)
         used = PlannedArm.from_setup(shipped).check(experiment)
         assert all(share <= 1.0 for share, _ in used.values())
 
@@ -88,13 +88,6 @@ def test_oscillations_are_what_they_say() -> None:
     assert np.allclose(points.position[middle, 2], 1e-4 * np.sin(omega * time), atol=1e-12)
     assert np.allclose(points.velocity[middle, 2], 1e-4 * omega * np.cos(omega * time), atol=1e-10)
     assert np.allclose(points.acceleration[middle, 2], -1e-4 * omega**2 * np.sin(omega * time), atol=1e-8)
-
-
-def test_joints_that_would_share_a_file_are_refused(shipped: Setup) -> None:
-    """A slash and a colon in names of joints become the same letter of a file's name: both names are in the line."""
-    robot = replace(shipped.robot, joint_names=("a/b", "a:b", *shipped.robot.joint_names[2:]))
-    with pytest.raises(IdentificationError, match=r"joints a/b, a:b, joint_3.*: two would share a file"):
-        make_plan(robot, shipped.drives)
 
 
 def test_a_plan_beyond_what_joints_or_motors_may_do_is_refused(shipped: Setup) -> None:

@@ -29,7 +29,7 @@ C0, C1 = 2e4, 25.0
 
 def identified(arguments: Sequence[object], output: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     """Run the command and return the friction file's parameters, which are also those that the simulation loads."""
-    code = run("rx90_identify", [*map(str, arguments), "--output", str(output)])
+    code = run("rx90 identify", [*map(str, arguments), "--output", str(output)])
     assert code == DONE, capsys.readouterr().err
     file = FrictionFile.read(output)
     assert file.identification is not None
@@ -74,7 +74,7 @@ def test_a_single_joint_in_bags_of_ros_1(tmp_path: Path, capsys: pytest.CaptureF
     x, _, u = (column[:, None] for column in micro_oscillation(inertia, CURVE, C0, C1, 1000.0))
     rows = np.round(x / ENCODER) * ENCODER, None, measured(u, 1)
     write(tmp_path / "micro.bag", "/hinge/state", ["hinge"], 1000.0, rows, "ros1")
-    bags = ["--sliding", tmp_path / "sweeps.bag", "--presliding", tmp_path / "micro.bag"]
+    bags = ["sliding", tmp_path / "sweeps.bag", "--presliding", tmp_path / "micro.bag"]
     # Each torque is that of its stamp, not the mean of the period before it.
     robot = ["--urdf", urdf, "--topic", "hinge/state", *signal_map(tmp_path, torque_delay=0.0005)]
     found = identified([*bags, *robot], tmp_path / "f.yaml", capsys)["hinge"]
@@ -99,7 +99,7 @@ def test_currents_of_motors_among_other_joints(tmp_path: Path, capsys: pytest.Ca
     robot = ["--urdf", urdf, "--topic", "arm/motors", "--joints", *names]
     robot += signal_map(tmp_path, names=["m1", "m2", "m3"])
     motors = ["--gear", *GEAR, "--torque-constant", *CONSTANT, "--fallback", write_fallback(tmp_path / "g.yaml", names)]
-    bags = ["--sliding", tmp_path / "sweeps", "--validation", tmp_path / "run", "--zero", *ZERO]
+    bags = ["sliding", tmp_path / "sweeps", "--validation", tmp_path / "run", "--zero", *ZERO]
     found = identified([*bags, *robot, *motors], tmp_path / "f.yaml", capsys)
     for name, curve in zip(names, curves, strict=True):
         assert_found(found[name], curve)
@@ -130,7 +130,7 @@ def test_a_coupled_wrist(tmp_path: Path, capsys: pytest.CaptureFixture[str], sid
     elements = [*names, "-tilt+roll"]
     write(tmp_path / "bag", "/wrist", names, 100.0, fields, header=side == "motors")
     options += ["--fallback", write_fallback(tmp_path / "g.yaml", elements), "--urdf", urdf, "--topic", "wrist"]
-    found = identified(["--sliding", tmp_path / "bag", *options], tmp_path / "f.yaml", capsys)
+    found = identified(["sliding", tmp_path / "bag", *options], tmp_path / "f.yaml", capsys)
     for name, curve in zip(elements, curves, strict=True):
         assert_found(found[name], curve)
 
@@ -143,7 +143,7 @@ def test_sweeps_are_fitted_by_the_model_that_is_named(tmp_path: Path, capsys: py
     torque = measured(drive_torque(model, np.eye(1), [curve], motion, 100.0), 1)
     write(tmp_path / "sweeps", "/joint_states", ["hinge"], 100.0, (*motion, torque))
     robot = ["--urdf", urdf, "--fallback", write_fallback(tmp_path / "g.yaml", ["hinge"])]
-    words = ["--sliding", tmp_path / "sweeps", *robot, "--model", "coulomb-viscous"]
+    words = ["sliding", tmp_path / "sweeps", *robot, "--model", "coulomb-viscous"]
     found = identified(words, tmp_path / "f.yaml", capsys)["hinge"]
     assert abs(found["tau_c_positive"]["value"] / 3.0 - 1.0) < 0.02
     assert abs(found["c2"]["value"] / 1.5 - 1.0) < 0.03

@@ -1,13 +1,12 @@
-"""`rx90_identify` on a single joint: what a user does wrong, a friction file that is checked, interrupts."""
+"""`rx90 identify` on a single joint: what a user does wrong, a friction file that is checked, interrupts."""
 
 from __future__ import annotations
 
 import os
 import re
-import resource
 import shutil
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 from foreign_arms import urdf_text, write
 from hinge_arm import CURVE, RATE, Hinge
+from processes import files_up_to
 
 import rx90_emulator as rx
 from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED, VERDICT_NO, OutputError
@@ -22,6 +22,10 @@ from rx90_common.process.files import write_all
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import identify as identify_bags
 from rx90_emulator.identification import job as identify_job
+from rx90_emulator.identification.output.report import check_page
+from rx90_emulator.identification.output.summary import check_summary
+from rx90_emulator.identification.validation.prediction import Validation
+from rx90_emulator.identification.validation.verdict import TorquePrediction
 
 pytestmark = pytest.mark.slow
 
@@ -30,7 +34,7 @@ Change = Callable[[Hinge, Path], list[object]]
 
 def options(*words: object) -> Change:
     """Return options beside those of the good bag."""
-    return lambda hinge, _: ["--sliding", hinge.bag, *words]
+    return lambda hinge, _: ["sliding", hinge.bag, *words]
 
 
 def sliding(rows: Any = slice(None), header: bool = True, **changed: Callable[[Hinge], Any]) -> Change:
@@ -40,14 +44,14 @@ def sliding(rows: Any = slice(None), header: bool = True, **changed: Callable[[H
         fields = {name: getattr(hinge, name) for name in ("position", "velocity", "torque")}
         fields |= {name: change(hinge) for name, change in changed.items()}
         values = tuple(value[rows] for value in fields.values())
-        return ["--sliding", write(folder / "bag", "/joint_states", ["hinge"], RATE, values, header=header)]  # type: ignore[arg-type]
+        return ["sliding", write(folder / "bag", "/joint_states", ["hinge"], RATE, values, header=header)]  # type: ignore[arg-type]
 
     return make
 
 
 def existing(option: str, name: str) -> Change:
     """Return the option of a file that is there."""
-    return lambda hinge, folder: ["--sliding", hinge.bag, option, filled(folder / name, "mine")]
+    return lambda hinge, folder: ["sliding", hinge.bag, option, filled(folder / name, "mine")]
 
 
 def filled(path: Path, text: str = "") -> Path:
@@ -62,11 +66,11 @@ def filled(path: Path, text: str = "") -> Path:
 def mimicking(hinge: Hinge, folder: Path) -> list[object]:
     """Return the option of a URDF in which a second joint mimics the first."""
     head, tail = urdf_text(["hinge", "jaw"], ["0 1 0", "0 1 0"], [2.0, 1.0]).rsplit("</joint>", 1)
-    return ["--sliding", hinge.bag, "--urdf", filled(folder / "m.urdf", f'{head}<mimic joint="hinge"/></joint>{tail}')]
+    return ["sliding", hinge.bag, "--urdf", filled(folder / "m.urdf", f'{head}<mimic joint="hinge"/></joint>{tail}')]
 
 
 REFUSED_CASES = {
-    "slow": (lambda h, _: ["--sliding", h.bag, "--presliding", h.bag], "100 samples per second; accepted: 500 or more"),
+    "slow": (lambda h, _: ["sliding", h.bag, "--presliding", h.bag], "100 samples per second; accepted: 500 or more"),
     "driven": (sliding(torque=lambda h: -h.torque), "hinge: the torque does not oppose the motion"),
     "motor_angles": (
         sliding(position=lambda h: 1e3 * h.position, velocity=lambda h: 1e3 * h.velocity),
@@ -74,7 +78,7 @@ REFUSED_CASES = {
     ),
     "unstamped": (sliding(header=False), "every stamp is 0.0* s; accepted: .*record_time: true"),
     "checked_by_itself": (
-        lambda h, f: ["--sliding", h.bag, "--validation", shutil.copytree(h.bag, f / "copy")],
+        lambda h, f: ["sliding", h.bag, "--validation", shutil.copytree(h.bag, f / "copy")],
         "copy: also used for the identification as .*run",
     ),
     "mimic": (mimicking, "'jaw' mimics hinge; accepted: .*--joints hinge"),
@@ -93,11 +97,12 @@ def test_a_mistake_is_one_line(hinge: Hinge, tmp_path: Path, capfd: pytest.Captu
     """A user's mistake is one line with what is accepted and status 2, and leaves every file as it was."""
     change, message = REFUSED_CASES[case]
     good = ["--fallback", hinge.fallback, "--output", tmp_path / "f.yaml"]
-    words = [str(word) for word in ("--urdf", hinge.urdf, *good, *change(hinge, tmp_path))]  # type: ignore[no-untyped-call]
+    verb, bag, *more = change(hinge, tmp_path)  # type: ignore[no-untyped-call]
+    words = [str(word) for word in (verb, bag, "--urdf", hinge.urdf, *good, *more)]
     before = everything(tmp_path)
-    assert run("rx90_identify", words) == REFUSED
+    assert run("rx90 identify", words) == REFUSED
     lines = capfd.readouterr().err.replace("\r", "\n").splitlines()
-    said = [line for line in lines if line.startswith("rx90_identify: ")]
+    said = [line for line in lines if line.startswith("rx90 identify: ")]
     assert len(said) == 1, lines
     assert re.search(message, said[0]), said[0]
     assert everything(tmp_path) == before
@@ -105,7 +110,7 @@ def test_a_mistake_is_one_line(hinge: Hinge, tmp_path: Path, capfd: pytest.Captu
 
 def checked(hinge: Hinge, *words: object) -> int:
     """Run the command with the joint's URDF."""
-    return run("rx90_identify", [str(word) for word in ("--urdf", hinge.urdf, *words)])
+    return run("rx90 identify", [str(word) for word in (*words, "--urdf", hinge.urdf)])
 
 
 def test_true_friction_is_confirmed_and_false_is_not(
@@ -113,12 +118,12 @@ def test_true_friction_is_confirmed_and_false_is_not(
 ) -> None:
     """The arm's own friction is confirmed with 0; half as much again is not, with 1; a report is written if asked."""
     good, bad = hinge.friction(tmp_path / "good.yaml"), hinge.friction(tmp_path / "bad.yaml", 1.5)
-    words, report = ["--friction", good, "--validation", hinge.bag], tmp_path / "page.html"
+    words, report = ["check", good, hinge.bag], tmp_path / "page.html"
     assert checked(hinge, *words, "--report", report) == DONE
-    assert checked(hinge, "--friction", bad, "--validation", hinge.bag) == VERDICT_NO
+    assert checked(hinge, "check", bad, hinge.bag) == VERDICT_NO
     said = capsys.readouterr()
     assert re.findall(r"validation \S+: (confirmed|NOT CONFIRMED)", said.out) == ["confirmed", "NOT CONFIRMED"]
-    assert said.err.splitlines()[-1] == f"rx90_identify: the validation does not confirm {bad}"
+    assert said.err.splitlines()[-1] == f"rx90 identify: the validation does not confirm {bad}"
     assert {file.name for file in tmp_path.iterdir()} == {"good.yaml", "bad.yaml", "page.html"}
     page = report.read_text(encoding="utf-8")
     for text in ("good.yaml", "<b>confirmed</b>", '<figure class="plot">'):
@@ -143,7 +148,7 @@ def test_the_difference_is_that_of_the_friction(hinge: Hinge, tmp_path: Path) ->
     [
         ("read_record", signal.SIGTERM),
         ("identify_records", signal.SIGINT),
-        ("report_page", signal.SIGTERM),
+        ("identification_page", signal.SIGTERM),
         ("write_all", signal.SIGINT),
         ("write_all", signal.SIGTERM),
     ],
@@ -168,26 +173,41 @@ def test_an_interrupt_leaves_everything(
         whole = Path.write_bytes
         monkeypatch.setattr(Path, "write_bytes", lambda *a, **k: (whole(*a, **k), interrupted()))
     else:
-        monkeypatch.setattr(identify_job if place == "report_page" else identify_bags, place, interrupted)
-    words = ["--sliding", hinge.bag, "--fallback", hinge.fallback, "--output", output, "--force"]
+        monkeypatch.setattr(identify_job if place == "identification_page" else identify_bags, place, interrupted)
+    words = ["sliding", hinge.bag, "--fallback", hinge.fallback, "--output", output, "--force"]
     assert checked(hinge, *words) == INTERRUPTED
-    assert capsys.readouterr().err.splitlines()[-1] == "rx90_identify: interrupted; nothing was written"
+    assert capsys.readouterr().err.splitlines()[-1] == "rx90 identify: interrupted; nothing was written"
     assert everything(tmp_path) == {output: b"mine"}
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
 
 
-@pytest.fixture
-def small_files() -> Iterator[int]:
-    """Let no file grow beyond what is returned, as on a disk that is full; more than the tests' own log may need."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size := 10_000_000, before[1]))
-    yield size
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
-def test_a_full_disk_leaves_everything(tmp_path: Path, small_files: int) -> None:
+def test_a_full_disk_leaves_everything(tmp_path: Path) -> None:
     """Where the second of two files does not fit, the first keeps its old content, and the line names the second."""
     first = filled(tmp_path / "a.yaml", "mine")
-    with pytest.raises(OutputError, match=r"b\.html: cannot be written \(File too large\)"):
-        write_all({first: b"new", tmp_path / "b.html": bytes(small_files + 1)})
+    most = 10_000_000  # more than the tests' own log may need
+    with files_up_to(most), pytest.raises(OutputError, match=r"b\.html: cannot be written \(File too large\)"):
+        write_all({first: b"new", tmp_path / "b.html": bytes(most + 1)})
     assert everything(tmp_path) == {first: b"mine"}
+
+
+def validation(error: float) -> Validation:
+    """Return a validation in which joint_1 moves and is off by a share of its torque, and joint_2 stands still."""
+    time = np.linspace(0.0, 1.0, 101)
+    recorded = np.stack([3.0 + np.cos(time), np.full(101, 2.0)], axis=1)
+    predicted = recorded * [1.0 + error, 5.0]
+    moves = np.stack([time >= 0.0, time < 0.0], axis=1)
+    torque = TorquePrediction(time, recorded, predicted, moves)
+    nothing = np.zeros(0)
+    return Validation(("joint_1", "joint_2"), torque, nothing, nothing, rx.ValidationTolerances(), "bag")
+
+
+@pytest.mark.parametrize(("error", "confirmed"), [(0.04, True), (0.06, False)])
+def test_a_joint_at_rest_does_not_decide(error: float, confirmed: bool) -> None:
+    """What a joint gives at rest is not compared; the verdict is on the joints that move, here 5 % of the torque."""
+    check = validation(error)
+    assert check.passed is confirmed
+    assert check.rms_share[0] == pytest.approx(error, rel=1e-12)
+    assert np.isnan([check.rms[1], check.rms_share[1], check.worst[1], check.worst_share[1]]).all()
+    assert f"{100.0 * error:.2f}" in check_page([check], "friction.yaml")
+    row = next(line for line in check_summary([check]).splitlines() if line.startswith("joint_2"))
+    assert row.split() == ["joint_2", "-", "-", "-", "-"]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.output.summary import fit_text
 from rx90_emulator.identification.records import BagSource, JointRecord
 from rx90_emulator.identification.rows.sweeps import find_blocks
 from rx90_emulator.identification.sliding import identify_sliding
@@ -91,20 +92,19 @@ def humped(velocity: Array) -> Array:
 
 
 def test_a_misfit_shows(hinge: RigidArm) -> None:
-    """A curve of the model's form leaves the samples' noise; one of another form leaves more, of one sign by speed."""
+    """A curve of the model's form leaves the samples' noise; one of another form leaves more."""
     straight_fit, humped_fit = (
-        identify_sliding(series(np.random.default_rng(5), friction), hinge).quality[0]
-        for friction in (straight, humped)
+        identify_sliding(series(np.random.default_rng(5), friction), hinge).curves[0] for friction in (straight, humped)
     )
     assert straight_fit is not None
     assert humped_fit is not None
     assert 0.3 < straight_fit.chi2 < 3.0
     assert humped_fit.chi2 > 10.0
-    assert np.abs(humped_fit.bands[:, 2]).max() > 3.0 * np.abs(straight_fit.bands[:, 2]).max()
-    assert f"chi2 {humped_fit.chi2:.3g}" in humped_fit.text("hinge")
+    assert humped_fit.share > 3.0 * straight_fit.share
+    assert f"chi2 {humped_fit.chi2:.3g}" in fit_text(humped_fit)
 
 
 def test_a_bag_was_recorded_when_its_stamps_say() -> None:
     """Stamps of the wall clock are a date, whenever the file was written; those of a simulation are none."""
-    assert BagSource(Path("bag"), "", 60.0, 0, 0, 1_577_836_800.4).recorded == "2020-01-01T00:00:00+00:00"
-    assert BagSource(Path("bag"), "", 60.0, 0, 0, 2.0).recorded == "no date; stamps from 2 to 62 s"
+    assert BagSource(Path("bag"), "", 60.0, 0, 1_577_836_800.4).recorded == "2020-01-01T00:00:00+00:00"
+    assert BagSource(Path("bag"), "", 60.0, 0, 2.0).recorded == "no date; stamps from 2 to 62 s"

@@ -9,11 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rx90_common.arm_dynamics import mass_and_bias
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction.friction_file import JointTorques
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.loop.setup import Setup
 
 TWO_LINKS = """<robot name="two"><link name="base"/>
 <link name="a"><inertial><origin xyz="0.5 0 0"/><mass value="2"/>
@@ -35,17 +33,6 @@ def urdf(tmp_path: Path) -> Path:
     path = tmp_path / "two.urdf"
     path.write_text(TWO_LINKS, encoding="utf-8")
     return path
-
-
-def test_torque_equals_the_plants_mass_matrix_and_bias(shipped: Setup, arm: RigidArm) -> None:
-    """M a + h of the compiled plant, with rotors, coupling and spring, is the torque without friction to 1e-9."""
-    rng = np.random.default_rng(0)
-    q, v, a = (rng.uniform(-1, 1, (50, 6)) for _ in range(3))
-    plant = shipped.plant()
-    mass, bias = np.empty((6, 6)), np.empty(6)
-    for k, torque in enumerate(arm.torque(q, v, a)):
-        mass_and_bias(plant.constants[0]["arm"], plant.state[0]["body"], q[k], v[k], mass, bias)
-        assert np.abs(torque - mass @ a[k] - bias).max() < 1e-9
 
 
 def test_the_regressor_is_the_derivative_by_the_inertial_parameters(arm: RigidArm) -> None:

@@ -7,6 +7,7 @@ import math
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from datetime import datetime, timezone
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -32,9 +33,8 @@ from rx90_emulator.identification.bodies import (
     consistent_inertias,
 )
 from rx90_emulator.identification.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
-from rx90_emulator.identification.output.assumed_files import weight_warning
 from rx90_emulator.identification.output.friction_file import elements_text
-from rx90_emulator.identification.output.robot_files import FolderBase, folder_base, robot_texts, viscous_sum
+from rx90_emulator.identification.output.robot_files import FolderBase, folder_base, robot_texts
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.rows.filtering import Bandwidths
 from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
@@ -45,6 +45,7 @@ pytestmark = pytest.mark.slow
 
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(5)
+DATE = datetime(2026, 1, 1, tzinfo=timezone.utc)
 SEEN = 12.0  # rad/s^2, of the second joint in the runs
 FIXED = """<link name="tool"><inertial><origin xyz="0 0 0.1"/><mass value="1.5"/>
 <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
@@ -91,7 +92,9 @@ def identified(
     given = {"problem": problem, "robot": robot, "consistency": consistency, "elements": elements, "bags": bags,
              "compared": bands}  # fmt: skip
     ranges = ((0.05, 2.0),) * len(elements)
-    return SimpleNamespace(**given, unit="Nm", element_notes={}, notes=(), fitted=SimpleNamespace(speeds=ranges))
+    return SimpleNamespace(
+        **given, arm=arm, unit="Nm", element_notes={}, notes=(), fitted=SimpleNamespace(speeds=ranges)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +102,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> BagSource:
     """Return a bag."""
     bag = tmp_path_factory.mktemp("bags") / "run--1.mcap"
     bag.write_bytes(b"")
-    return BagSource(bag, "0" * 64, 60.0, 0, 0, 1_767_225_600.0)
+    return BagSource(bag, "0" * 64, 60.0, 0, 1_767_225_600.0)
 
 
 class Case(NamedTuple):
@@ -136,7 +139,7 @@ def case(tmp_path_factory: pytest.TempPathFactory, source: BagSource) -> Case:
     inertias = consistent_inertias(estimate_of(columns, values), prior)
     elements = tuple(element_of(one, source) for one in true.friction.elements)
     result = identified(arm, inertias, columns, elements, source, "other.yaml")
-    for name, text in robot_texts(result, base.urdf, FolderBase.of(base)).items():
+    for name, text in robot_texts(result, base.urdf, FolderBase.of(base), DATE).items():
         (place / name).write_text(text)
     return Case(true, before, columns, inertias.parameters, RobotFiles.named(str(place)))
 
@@ -169,7 +172,7 @@ def test_folder_says_where_its_values_come_from(case: Case) -> None:
     assert 90.0 < drives["spring"]["torque"][1] < 120.0
     assert drives["brake"] == yaml.safe_load(shipped.drives.read_text())["brake"]
     assert law["feed_forward"]["provenance"]["coulomb_torque"] == "derived"
-    assert law["feed_forward"]["provenance"]["others"] == "assumed"
+    assert law["feed_forward"]["provenance"]["coulomb_velocity"] == "assumed"
     assert law["servo"] == yaml.safe_load(shipped.controller.read_text())["servo"]
     assert "model" not in law, "the controller's model is the arm of the folder, not the base's"
     assert friction["provenance"] == "identified"
@@ -188,9 +191,9 @@ def test_folder_is_one_that_editors_and_rx90_config_accept(case: Case, capsys: p
             assert schema_faults(role, path) == [], name
             assert "yaml-language-server" not in path.read_text(encoding="utf-8")
     folder = str(case.files.urdf.parent)
-    assert run("rx90_config", ["check", folder]) == 0
+    assert run("rx90 config", ["check", folder]) == 0
     capsys.readouterr()
-    assert run("rx90_config", ["show", "--robot", folder, "--json"]) == 0
+    assert run("rx90 config", ["show", "--robot", folder, "--json"]) == 0
     shown = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
     assert shown["drives.transmission.rotor_inertia"]["provenance"] == "identified"
     assert shown["drives.transmission.gear"]["assumed"] is True
@@ -230,7 +233,7 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     base, why = folder_base(arm, file)
     assert base is None
     assert why.startswith("URDF and friction file alone, no robot folder: ")
-    texts = robot_texts(result, file, None)
+    texts = robot_texts(result, file, None, DATE)
     assert set(texts) == {"robot.urdf", "friction.yaml"}
     friction = yaml.safe_load(texts["friction.yaml"])
     assert list(friction["elements"]) == ["provenance", "a", "b", "c"]
@@ -250,16 +253,6 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     assert "recorded 20" in texts["robot.urdf"].partition("<link")[0]
 
 
-def test_gains_that_do_not_hold_the_weight_are_told() -> None:
-    """The shipped panda's hold it; with kv and kp 2.5 times lower the engine trips at joints 3, 5 and 6 (by hand)."""
-    setup = Setup.load(RobotFiles.named("panda"))
-    turning, law = setup.drives.turning, setup.controller
-    assert weight_warning(setup.robot, turning, law) == ""
-    low = law.replaced(servo={"kv": law.kv / 2.5, "kp": law.kp / 2.5})
-    named = re.findall(r"panda_joint(\d) by", weight_warning(setup.robot, turning, low))
-    assert named == ["3", "5", "6"]
-
-
 def rest_of(urdf: str) -> str:
     """Return a URDF without comments and inertials."""
     root = ET.fromstring(urdf)
@@ -269,19 +262,12 @@ def rest_of(urdf: str) -> str:
     return re.sub(r"\s+", "", ET.tostring(root, encoding="unicode")).replace("></link>", "/>")
 
 
-def test_compensation_of_two_viscous_parts_meets_their_sum(case: Case) -> None:
-    """Motor 6 turns against two elements: of different exponents, their sum is met within 2 % at speeds that matter."""
+def test_the_compensation_is_the_identified_friction(case: Case) -> None:
+    """Motor 6 turns against two elements, whose sum it compensates."""
     written = yaml.safe_load(case.files.controller.read_text())["feed_forward"]
     assert written["viscous_friction"] == [14.0, 14.0, 7.0, 2.0, 1.5, 0.7]
     assert written["viscous_exponent"] == [1.0] * 6
     assert written["coulomb_torque"] == [25.0, 28.0, 18.0, 6.0, 4.0, 3.5]
-    bent, straight = (
-        FrictionElement(tau_c=1.0, tau_s=1.5, omega_s=0.05, delta=1.0, c0=1e4, c1=1.0, c2=c2, alpha=a)
-        for c2, a in ((2, 0.6), (1, 1))
-    )
-    c2, alpha = viscous_sum([bent, straight], 8.0)
-    speed = np.linspace(1.5, 9.0, 20)
-    np.testing.assert_allclose(c2 * speed**alpha, 2.0 * speed**0.6 + speed, rtol=0.02)
 
 
 @pytest.mark.parametrize(
@@ -295,9 +281,9 @@ def test_compensation_of_two_viscous_parts_meets_their_sum(case: Case) -> None:
 def test_no_absurd_friction_is_written(source: BagSource, parameter: str, value: float, deviation: float) -> None:
     """A friction value that no arm has, or a deviation that is absurd or no number, is refused by name in one line."""
     good = element_of(FrictionElement(tau_c=1.0, tau_s=1.5, omega_s=0.05, delta=1.0, c0=1e4, c1=1.0, c2=0.5), source)
-    assert "tau_c: 1.0" in elements_text(["a"], [good], None)
+    assert "tau_c: 1.0" in elements_text(["a"], [good])
     estimates = {**good.estimates, parameter: ParameterEstimate(value, deviation)}
     bad = replace(good, element=good.element.with_parameters({parameter: value}), estimates=estimates)
-    said = rf"^a: {parameter} came out as .*accepted: up to |a\.{parameter}\.deviation is 1e\+48, so the file is not"
+    said = rf"a\.{parameter}\.(value|deviation) is (1e\+48|nan)"
     with pytest.raises(Rx90Error, match=said):
-        elements_text(["a"], [bad], None)
+        elements_text(["a"], [bad])

@@ -99,6 +99,7 @@ def test_a_delay_of_the_torques_is_measured(described: RigidArm, record: JointRe
     late = np.column_stack([np.interp(record.time - delay, record.time, column) for column in record.torque.T])
     text = said(described, replace(record, torque=late))
     assert abs(float(re.findall(r"^wrong delay of the torques by (-?\d+) ms: ", text)[0]) - 1e3 * delay) <= 10.0
+    assert abs(float(re.findall(r"torque_delay: (\S+) in the signal map", text)[0]) + delay) <= 0.01
 
 
 def test_forgotten_gears_are_named_and_nothing_else(described: RigidArm, record: JointRecord) -> None:
@@ -151,7 +152,7 @@ def test_a_short_log_names_nothing_by_chance(tmp_path: Path) -> None:
 
 
 def test_bodies_far_from_the_description_are_named(described: RigidArm) -> None:
-    """Mass, first moment and inertia of what a joint moves follow from the links', and a tenth of the mass is said."""
+    """Mass, first moment and inertia of what a joint moves follow from the links; ten times more or less is said."""
     light = described.with_bodies(0.1 * described.inertial, np.diag(described.rotor))
     bodies = moved_bodies(described, light)
     masses = described.inertial[::10]
@@ -162,3 +163,6 @@ def test_bodies_far_from_the_description_are_named(described: RigidArm) -> None:
     assert bodies[-1].moment[0] == pytest.approx(np.hypot(last[1], last[2]))  # about the z axis of its joint
     assert body_alarms(moved_bodies(described, described)) == ()
     assert "joint_1 " in body_alarms(bodies)[0]
+    assert "payload" not in body_alarms(bodies)[0]
+    loaded = described.with_bodies(10.0 * described.inertial, np.diag(described.rotor))
+    assert body_alarms(moved_bodies(described, loaded))[0].endswith("its payload in the description")

@@ -84,9 +84,9 @@ def test_matrices_give_what_the_wrists_fixed_order_gives(
 
 
 def test_a_folder_of_seven_joints_runs_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """rx90_config checks the folder, rx90_run follows a trajectory, and the recorded bag compares as measured."""
+    """rx90 config checks the folder, rx90 run follows a trajectory, and the recorded bag compares as measured."""
     folder = write_arm(tmp_path / "arm", 7)
-    assert run("rx90_config", ["check", str(folder)]) == 0
+    assert run("rx90 config", ["check", str(folder)]) == 0
     names = ", ".join(joint_names(7))
     points = [(0.0, 0.0), (0.8, 0.4), (1.6, -0.2), (2.4, 0.0)]
     rows = "".join(
@@ -95,9 +95,9 @@ def test_a_folder_of_seven_joints_runs_by_command(tmp_path: Path, capsys: pytest
         for t, q in points
     )
     (tmp_path / "motion.yaml").write_text(f"joint_names: [{names}]\npoints:\n{rows}")
-    arguments = ["--robot", str(folder), "--trajectory", str(tmp_path / "motion.yaml")]
-    assert run("rx90_run", [*arguments, "--output", str(tmp_path / "bag")]) == 0
-    assert run("rx90_compare_measured", [str(tmp_path / "bag"), "--robot", str(folder), "--topic", "joint_states"]) == 0
+    arguments = [str(tmp_path / "motion.yaml"), "--robot", str(folder)]
+    assert run("rx90 run", [*arguments, "--output", str(tmp_path / "bag")]) == 0
+    assert run("rx90 identify compare", [str(tmp_path / "bag"), "--robot", str(folder), "--topic", "joint_states"]) == 0
     assert "arm_7" in capsys.readouterr().out
 
 

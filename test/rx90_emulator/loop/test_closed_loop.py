@@ -261,7 +261,7 @@ def test_the_fastest_motion_to_a_limit_stays_within_it(shipped: Setup, joint: in
 
 
 REFERENCE = Path(__file__).parents[2] / "reference" / "reference_task"
-"""Written by `rx90_run --slow-only --decimation 20`; see the README beside it."""
+"""Every 20th message of the line; the README beside it says how it was written."""
 
 
 @pytest.fixture(scope="module")

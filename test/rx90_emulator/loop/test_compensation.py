@@ -18,9 +18,9 @@ from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, Max
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.temperature import TemperaturePart
+from rx90_common.rigid_torque import rigid_torque
 from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.identification.arm import rigid_torque
 from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.line import LineRun, run_line
 from rx90_emulator.loop.parameters import with_parameters

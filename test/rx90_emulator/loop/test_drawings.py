@@ -116,8 +116,8 @@ def test_dxf_without_its_package_is_one_line(
     (tmp_path / "part.dxf").write_text("")
     (tmp_path / "path.yaml").write_text("path: {file: {name: part.dxf}, speed: 0.1, acceleration: 1.0, "
                                         "tool_rpy_degrees: [0, 180, 0]}\n")  # fmt: skip
-    assert run("rx90_path", [str(tmp_path / "path.yaml"), "--dry-run"]) == 3
-    assert re.fullmatch(r"rx90_path: .*ezdxf.*pip install.*\n", capsys.readouterr().err)
+    assert run("rx90 path", [str(tmp_path / "path.yaml"), "--dry-run"]) == 3
+    assert re.fullmatch(r"rx90 path: .*ezdxf.*pip install.*\n", capsys.readouterr().err)
 
 
 @pytest.fixture

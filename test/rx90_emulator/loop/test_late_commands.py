@@ -149,7 +149,7 @@ def test_a_controller_that_stays_away_closes_the_brakes(nodes: Nodes) -> None:
     nodes.held._timeout = 0.1
     nodes.run(TICKS, repeat(1))
     assert not nodes.plant.brakes_closed
-    assert nodes.loop.fault is None
+    assert nodes.loop.state.switch.fault is None
     assert any("behind the simulation: a trajectory that runs comes later" in line for line in nodes.said)
     assert np.abs(nodes.cs7b.tracking_error()[0]).max() < 5e-3
 
@@ -177,7 +177,7 @@ def test_a_reset_and_a_new_mode_end_a_motion(nodes: Nodes) -> None:
         nodes.plant.reset(HOME)
         nodes.held.forget()
         nodes.run(400, repeat(1))
-    assert nodes.loop.fault is None
+    assert nodes.loop.state.switch.fault is None
 
 
 def test_the_margin_is_that_of_the_phase(shipped: Setup) -> None:

@@ -1,4 +1,4 @@
-"""`rx90_run` refuses what it cannot do before it runs anything."""
+"""`rx90 run` refuses what it cannot do before it runs anything."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_a_trajectory_of_a_file_runs_into_arrays_with_units(tmp_path: Path, caps
     """The arm starts in the file's first point, ends in its last, and every array is named with its unit."""
     file, arrays = tmp_path / "move.yaml", tmp_path / "run.npz"
     file.write_text(TRAJECTORY)
-    assert run("rx90_run", ["--trajectory", str(file), "--arrays", str(arrays)]) == 0
+    assert run("rx90 run", [str(file), "--arrays", str(arrays)]) == 0
     said = capsys.readouterr().out
     assert "joint_6: worst tracking error" in said
     assert "path error 0." in said
@@ -65,7 +65,7 @@ def test_half_a_file_of_arrays_does_not_stay(
     monkeypatch.setattr(np, "savez_compressed", savez)
     (tmp_path / "move.yaml").write_text(LATER)
     file = tmp_path / "run.npz"
-    assert run("rx90_run", ["--trajectory", str(tmp_path / "move.yaml"), "--arrays", str(file)]) == code
+    assert run("rx90 run", [str(tmp_path / "move.yaml"), "--arrays", str(file)]) == code
     assert not file.exists()
 
 
@@ -78,7 +78,7 @@ def test_a_misspelt_key_of_a_trajectory_is_named(
     """Also a key that may be left out; a header is not looked at."""
     file = tmp_path / "move.yaml"
     file.write_text("header: {frame_id: base}\n" + LATER.replace(key, odd))
-    assert run("rx90_run", ["--trajectory", str(file)]) == 2
+    assert run("rx90 run", [str(file)]) == 2
     assert f"{odd} is not a known key (did you mean {key}?); accepted: " in capsys.readouterr().err
 
 
@@ -90,11 +90,11 @@ def test_an_initial_position_has_a_number_for_each_joint(tmp_path: Path, capsys:
     file.write_text(
         f"joint_names: [{names}]\npoints:\n- {{positions: [{', '.join(start)}], time_from_start: {{sec: 1}}}}\n"
     )
-    words = ["--robot", "panda", "--trajectory", str(file), "--initial-position"]
-    assert run("rx90_run", [*words, *start]) == 0
+    words = [str(file), "--robot", "panda", "--initial-position"]
+    assert run("rx90 run", [*words, *start]) == 0
     assert f"begins at rest at {', '.join(start)} rad" in capsys.readouterr().out
-    assert run("rx90_run", [*words, *start, "0"]) == 2
-    said = "rx90_run: --initial-position has 8 numbers; accepted: 7, one for each joint"
+    assert run("rx90 run", [*words, *start, "0"]) == 2
+    said = "rx90 run: --initial-position has 8 numbers; accepted: 7, one for each joint"
     assert capsys.readouterr().err.splitlines()[-1] == said
 
 
@@ -117,17 +117,15 @@ def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(
     file, first, second = tmp_path / "move.yaml", tmp_path / "fir\nst", tmp_path / "second"
     file.write_text(LATER)
     zero = ["--initial-position", *["0.0"] * 6]
-    assert (
-        run("rx90_run", ["--trajectory", str(file), *zero, *robot, "--start-time", "0.2", "--output", str(first)]) == 0
-    )
+    assert run("rx90 run", [str(file), *zero, *robot, "--start-time", "0.2", "--output", str(first)]) == 0
     capsys.readouterr()
     for words, line in (([], "seed 0, as the bag tells\n"), (["--seed", "5"], "")):
-        assert run("rx90_run", ["--from-bag", str(first), *robot, *words]) == 0
+        assert run("rx90 replay", [str(first), *robot, *words]) == 0
         out, err = capsys.readouterr()
         assert "".join(each for each in out.splitlines(keepends=True) if "seed" in each) == line
-        assert err == ("rx90_run: warning: the seed of that run was 0; here --seed 5 holds\n" if words else "")
+        assert err == ("rx90 replay: warning: the seed of that run was 0; here --seed 5 holds\n" if words else "")
     said = "recorded of the robot 'tx40', not of 'rx90b'; accepted: a bag of that robot, or --robot with the bag's"
-    assert run("rx90_run", ["--from-bag", str(first), "--output", str(second)]) == 2
+    assert run("rx90 replay", [str(first), "--output", str(second)]) == 2
     assert said in capsys.readouterr().err
     with pytest.raises(BagError, match=said):
         RecordedRobot.load(RobotOptions()).layout(first, fast=True)
@@ -138,14 +136,14 @@ def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(
     told |= {"allow_partial_joints_goal": True, "allow_trajectory_replacement": False}
     told = {name: value for name, value in told.items() if not name.endswith((".provenance", ".source"))}
     monkeypatch.setattr("rx90_emulator.loop.recorded_run.read_values", lambda _: told)
-    assert run("rx90_run", ["--from-bag", str(first), *robot, "--output", str(second)]) == 0
+    assert run("rx90 replay", [str(first), *robot, "--output", str(second)]) == 0
     out, err = capsys.readouterr()
     assert (
-        "rx90_run: warning: allow_partial_joints_goal, feed_forward.coulomb, servo.kv had other values in that run"
+        "rx90 replay: warning: allow_partial_joints_goal, feed_forward.coulomb, servo.kv had other values in that run"
         in err
     )
     assert f"trajectories in {tmp_path}/fir\\nst: 1, from 0.200 s\nseed 0: the bag tells none\n" in out
-    assert run("rx90_bag", ["compare", str(first), str(second)]) == 0
+    assert run("rx90 bag", ["compare", str(first), str(second)]) == 0
     position = read_bag(first)["joint_states"].position
     assert position is not None
     assert position[0].tolist() == [0.0] * 6
@@ -169,7 +167,10 @@ def test_trajectories_follow_each_other_and_an_empty_one_stops(shipped: Setup) -
 
 def test_paper_runs_the_paper_s_choices(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The switch gives the bits of the shipped setup with these choices; each element that is not passive is named."""
-    assert run("rx90_run", ["--paper", "--slow-only", "--arrays", str(tmp_path / "paper.npz")]) in (0, None)
+    assert run("rx90 run", ["--robot", "rx90b/paper", "--slow-only", "--arrays", str(tmp_path / "paper.npz")]) in (
+        0,
+        None,
+    )
     assert capsys.readouterr().err.count("not passive from") == 7
     changes = {"friction.*.omega_d": np.inf, "controller.coulomb_velocity": 1e-12}
     setup = with_parameters(Setup.load(), {**changes, "controller.feed_forward.velocity": False})

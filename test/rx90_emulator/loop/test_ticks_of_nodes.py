@@ -270,7 +270,7 @@ EXPONENTS = {
 def test_the_page_suffices_to_write_the_loop_again(shipped: Setup, changes: dict[str, float], literal: bool) -> None:
     """Joints, bristles and motor torques of a move and of the rest after it agree to rounding, tick by tick.
 
-    The setup of `--paper` agrees with the paper's formulas and the shipped values: c1 dz/dt, D from the measured
+    The setup of `rx90b/paper` agrees with the paper's formulas and the shipped values: c1 dz/dt, D from the measured
     velocity, a sign function.
     """
     setup = with_parameters(shipped, changes)

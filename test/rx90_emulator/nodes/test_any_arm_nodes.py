@@ -52,7 +52,7 @@ def test_nodes_give_the_engines_bits(
     simulation, *others = [processes.start(name, "--ros-args", *given) for name in nodes]
     states, friction = client.listen("joint_states"), client.listen("friction_states")
     simulation.wait_for("]: ready: ")
-    recorder = processes.start("rx90_bag", "record", "--output", tmp_path / "nodes")
+    recorder = processes.start("rx90 bag", "record", "--output", tmp_path / "nodes")
     recorder.wait_for("ready: all")
     client.send([(0.25, goal[0].tolist())], joint_names(joints))
     client.known_to("rx90_sim")

@@ -141,7 +141,7 @@ def test_gains_change_between_two_ticks_and_the_rest_says_why_not(
     cell.wait_for("ready")
     events = latched(client, f"{CONTROLLER}/parameters", ParameterEvent)
     commands = client.listen("motor_commands")
-    recorder = processes.start("rx90_bag", "record", "-o", tmp_path / "bag", "motor_states", *TOLD)
+    recorder = processes.start("rx90 bag", "record", "-o", tmp_path / "bag", "motor_states", *TOLD)
     recorder.wait_for("ready: all")
     client.spin_until(lambda: len(events) == 1, "the values at the start")
     told = {p.name: parameter_value_to_python(p.value) for p in events[0].new_parameters}
@@ -189,6 +189,6 @@ def test_gains_change_between_two_ticks_and_the_rest_says_why_not(
     recorded = read_values(tmp_path / "bag")
     assert recorded["feed_forward.viscous_friction"] == viscous
     assert recorded["servo.kp"] == shipped.controller.kp.tolist()
-    done = processes.run("rx90_bag", "info", tmp_path / "bag").stdout
+    done = processes.run("rx90 bag", "info", tmp_path / "bag").stdout
     assert f"/{CONTROLLER}: servo.kp changed to {kp}, from t = 0.011000 s on" in done
     assert f"/{SIMULATION}: step_ticks changed to {TICKS - CHANGED_AT}, from t = 0.010750 s on" in done

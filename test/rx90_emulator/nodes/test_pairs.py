@@ -56,8 +56,8 @@ def test_a_paused_pair_is_heard_and_takes_a_trajectory(processes: Processes, cli
     (offered,) = client.node.get_publishers_info_by_topic("/cell_1/friction_states")
     assert offered.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT
     assert offered.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
-    line = ("--from-file", "robots/rx90b/task.yaml", "--approach", "--node", "/cell_1/rx90_controller")
-    done = processes.run("rx90_line", *line)
+    line = ("robots/rx90b/task.yaml", "--approach", "--node", "/cell_1/rx90_controller")
+    done = processes.run("rx90 line", *line)
     assert done.returncode == 0, done.stderr
     assert "time stands still at 0 s: the arm moves when it runs on" in done.stdout
     controller.wait_for("a trajectory waits for the simulation's first tick")
@@ -192,7 +192,7 @@ UNPACED = ("--ros-args", "-p", "real_time_factor:=0.0")
 @pytest.mark.ros
 def test_either_node_is_killed_and_comes_back(processes: Processes, client: Client, tmp_path: Path) -> None:
     """Without its controller time stands still, announced once, until the next one; a new simulation begins anew."""
-    recorder = processes.start("rx90_bag", "record", "--output", tmp_path / "bag", "motor_states", "motor_commands")
+    recorder = processes.start("rx90 bag", "record", "--output", tmp_path / "bag", "motor_states", "motor_commands")
     simulation = processes.start("rx90_sim", *UNPACED)
     first = processes.start("rx90_controller")
     # As deep as the simulation can get until the signal arrives: nobody takes messages while the line is waited for.
@@ -246,7 +246,7 @@ def test_trials_begin_alike(processes: Processes, tmp_path: Path) -> None:
     line = SHORT_TASK.replace("[0.6034, -0.2808, 0.1955]", "[0.634, -0.108, 0.155]").replace("0.05", "0.3")
     task.write_text(line, encoding="utf-8")
     processes.start("rx90_cell")
-    words = ("--on-nodes", "--trials", "1", "--output", tmp_path / "line.yaml")
-    done = processes.run("rx90_correct", "learn", task, *words)
+    words = ("--trials", "1", "--output", tmp_path / "line.yaml")
+    done = processes.run("rx90 correct nodes", task, *words)
     first, second = (float(worst) for worst in re.findall(r"trial \d: worst (\S+) mm", done.stdout))
     assert second < 0.25 * first, done.stdout

@@ -30,7 +30,7 @@ def test_a_program_moves_the_arm_of_running_nodes(processes: Processes, client: 
     (tmp_path / "p.v2").write_text(PROGRAM)
     heard = client.listen("rx90_program/outputs", Int32MultiArray)
     processes.start("rx90_cell")
-    program = processes.start("rx90_program", tmp_path / "p.v2", "--nodes")
+    program = processes.start("rx90 program nodes", tmp_path / "p.v2")
     client.spin_until(lambda: [7] in [list(message.data) for message in heard], "the last output")
     program.wait_for("2 motions, cycle time")
     assert "s   -1 -1" in program.output

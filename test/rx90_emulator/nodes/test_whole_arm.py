@@ -110,7 +110,7 @@ def run_nodes(processes: Processes, client: Client, setup: Setup, folder: Path) 
 
 def _record(processes: Processes, client: Client, cell: ChildProcess, bag: Path) -> None:
     """Record a run that begins at time 0, of a trajectory that is sent in its midst."""
-    recorder = processes.start("rx90_bag", "record", "--output", bag)
+    recorder = processes.start("rx90 bag", "record", "--output", bag)
     recorder.wait_for("ready: all")
     reference = client.listen("rx90_controller/reference", depth=1)
     client.known_to("rx90_controller")
@@ -145,7 +145,7 @@ def test_all_parts_of_an_arm_in_nodes(
     the_same(first, tmp_path / "second")
     files = [word for name in ("drives", "friction") for word in (f"--{name}", str(tmp_path / f"{name}.yaml"))]
     capsys.readouterr()
-    assert run("rx90_run", ["--from-bag", str(first), *files, "--output", str(again)]) == 0
+    assert run("rx90 replay", [str(first), *files, "--output", str(again)]) == 0
     assert f"seed {SEED}, as the bag tells\n" in capsys.readouterr().out
     the_same(first, again)
 

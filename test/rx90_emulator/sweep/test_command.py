@@ -1,4 +1,4 @@
-"""`rx90_sweep` as a person uses it, in a process of its own."""
+"""`rx90 sweep` as a person uses it, in a process of its own."""
 
 from __future__ import annotations
 
@@ -76,15 +76,15 @@ def test_interrupt_and_kill_keep_what_is_done(
 ) -> None:
     """Ctrl-C exits 130, says how to go on and leaves one readable file; a resumed sweep that is killed adds to it."""
     output = tmp_path / "out.parquet"
-    command = executable("rx90_sweep", "run", plan_file, "--output", output, "--workers", "2")
+    command = executable("rx90 sweep", "run", plan_file, "--output", output, "--workers", "2")
     first = start_apart(*command, cwd=ROOT)
     until(lambda: parts(output), first)
     os.killpg(first.pid, signal.SIGINT)
     _, error = first.communicate(timeout=TIMEOUT)
     assert first.returncode == 130
     assert [line for line in error.splitlines() if "compiling the numerical kernels" not in line] == [
-        "rx90_sweep: interrupted; what is done is kept; go on with: "
-        f"rx90_sweep run {plan_file} --output {output} --resume"
+        "rx90 sweep: interrupted; what is done is kept; go on with: "
+        f"rx90 sweep run {plan_file} --output {output} --resume"
     ]
     assert not parts_folder(output).exists()
     kept = assert_true_rows(output, plan_file)
@@ -110,17 +110,17 @@ def test_run_and_info(speeds: str, tmp_path: Path, task_file: Path, capsys: pyte
     plan.write_text(f"base: {{task: {task_file}}}\nblocks: {grid}", encoding="utf-8")
     words, lost = ["run", str(plan), "--output", str(output), "--workers", "1"], not speeds.startswith("0")
     for more, said in ((["--report", str(page)], "3 of 3 runs"), (["--resume"], "is complete, 3 runs")):
-        assert run("rx90_sweep", [*words, *more]) == (3 if lost else 0)
+        assert run("rx90 sweep", [*words, *more]) == (3 if lost else 0)
         out, err = capsys.readouterr()
         if lost:
-            (line,) = (one for one in err.splitlines() if one.startswith("rx90_sweep: "))
-            assert line.startswith("rx90_sweep: each of the 2 runs failed, for example: LineError: ")
-            assert line.endswith(f"; rx90_sweep info {output} says more")
+            (line,) = (one for one in err.splitlines() if one.startswith("rx90 sweep: "))
+            assert line.startswith("rx90 sweep: each of the 2 runs failed, for example: LineError: ")
+            assert line.endswith(f"; rx90 sweep info {output} says more")
         else:
             assert said in out
-            assert (f"1 failed (rx90_sweep info {output} says why)" in out) == ("--report" in more)
+            assert (f"1 failed (rx90 sweep info {output} says why)" in out) == ("--report" in more)
     assert page.exists() != lost
-    assert run("rx90_sweep", ["info", str(output)]) == 0
+    assert run("rx90 sweep", ["info", str(output)]) == 0
     shown = capsys.readouterr().out
     assert ("2 runs failed (LineError 2)" if lost else "1 run failed (LineError 1)") in shown
     assert "path_error_worst" in shown

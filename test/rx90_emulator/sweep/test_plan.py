@@ -132,7 +132,7 @@ def test_shipped_and_documented_plans_fit(
 ) -> None:
     """Every shipped plan is named in --help, found from any folder, and names what there is; so does the page's."""
     monkeypatch.chdir(tmp_path)
-    assert run("rx90_sweep", ["run", "--help"]) == 0
+    assert run("rx90 sweep", ["run", "--help"]) == 0
     named = set(re.findall(r"sweep/\w+\.yaml", capsys.readouterr().out))
     assert named == {f"sweep/{path.name}" for path in config_path("sweep").glob("*.yaml")}
     assert all(len(Sweep(load_sweep_plan(name))) > 0 for name in named)

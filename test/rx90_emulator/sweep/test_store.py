@@ -132,7 +132,7 @@ def test_foreign_files_are_refused(tmp_path: Path, sweep: Sweep) -> None:
         (tmp_path, "is a folder"),
         (bomb, "320,000,000 bytes unpacked; accepted: up to 268,435,456"),
         (torn, "cannot be read as Parquet"),
-        (foreign, "is not a result of rx90_sweep"),
+        (foreign, "is not a result of rx90 sweep"),
         (lacking, "lacking.parquet has other columns, lacking index, error; accepted: "),
         (swapped, "swapped.parquet has other columns, lacking none; accepted: "),
     ):
@@ -234,7 +234,7 @@ def test_the_page_says_what_came_and_from_where(
 ) -> None:
     """Worst runs in their order, failures, the files with assumed blocks marked; a page that exists is not replaced."""
     monkeypatch.chdir(tmp_path)
-    assert run("rx90_sweep", ["report", str(results)]) == 0
+    assert run("rx90 sweep", ["report", str(results)]) == 0
     assert "None plant step" not in (tmp_path / results.with_suffix(".html").name).read_text(encoding="utf-8")
     assert capsys.readouterr().out == f"page: {tmp_path / 'small.html'}\n"
     text = (tmp_path / "small.html").read_text(encoding="utf-8")
@@ -245,7 +245,7 @@ def test_the_page_says_what_came_and_from_where(
     assert f"<b>{len(outcomes) - len(good)}</b> of {len(outcomes)} runs failed" in text
     assert "<code>robots/rx90b/drives.yaml</code>" in text
     assert re.search(r'<strong class="assumed">\w+ assumed</strong>', text)
-    assert run("rx90_sweep", ["report", str(results)]) == 2
+    assert run("rx90 sweep", ["report", str(results)]) == 2
     assert "small.html exists; accepted: another name, or --force" in capsys.readouterr().err
     assert (tmp_path / "small.html").read_text(encoding="utf-8") == text
     check_report(tmp_path / "small.html")

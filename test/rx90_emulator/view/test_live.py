@@ -1,4 +1,4 @@
-"""rx90_view on running nodes, as a browser shows it: they come and go, move, and each fact stands in its place."""
+"""rx90 view on running nodes, as a browser shows it: they come and go, move, and each fact stands in its place."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def near(shown: BrowserPage, where: np.ndarray) -> Callable[[], bool]:
 @pytest.mark.ros
 def test_nodes_come_go_and_come_again(shipped: Setup, processes: Processes, open_page: Open) -> None:
     """The page waits for nodes, shows their arm, says that they have gone, and that others are of another robot."""
-    view = processes.start("rx90_view", "--port", 0, "--ros-args", "-r", "__ns:=/cell_1")
+    view = processes.start("rx90 view", "--port", 0, "--ros-args", "-r", "__ns:=/cell_1")
     shown = open_page(address(view), SIZE, pictures="few")
     shown.wait_until(lambda: "Waiting for a simulation: nothing on /cell_1/joint_states" in shown.text(), "the wait")
     pose = f"rx90_sim:initial_position:={POSE}"
@@ -78,7 +78,7 @@ def test_the_arm_of_make_view_moves_and_all_ends_with_it(processes: Processes, o
     """With --demo the tip goes to the line's end and again to its start, the page is locked, and Ctrl-C ends it."""
     task = tmp_path / "task.yaml"
     task.write_text(SHORT_TASK, encoding="utf-8")
-    view = processes.start("rx90_view", "--demo", "--task", task, "--port", 0, "--no-browser")
+    view = processes.start("rx90 view", "--demo", "--task", task, "--port", 0, "--no-browser")
     code = view.wait_for(r"code to move the arm: (\S+)")[1]
     shown = open_page(address(view), SIZE, pictures="few")
     for end in ((0.6034, -0.2808, 0.1955), (0.6, -0.3, 0.2)):

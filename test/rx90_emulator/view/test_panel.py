@@ -213,7 +213,7 @@ def test_wrong_codes_of_all_clients_count_together(bench: Bench, capfd: pytest.C
     wait_until(lambda: bool(bench.offered), "the joint on its way")
     assert (len(bench.panel._sliders), bench.panel._forms) == (1, {})
     assert "Locked: 5 wrong codes: no further page is unlocked" in bench.panel._shut.content
-    assert capfd.readouterr().err == f"rx90_view: {panel_module._SHUT}\n"
+    assert capfd.readouterr().err == f"rx90 view: {panel_module._SHUT}\n"
     for client in (known, late, *(stranger for stranger, _ in strangers)):
         client.close()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import socket
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from queue import Queue
@@ -12,11 +13,8 @@ from queue import Queue
 import pytest
 
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.vplus.arm import ProgrammedArm
 from rx90_emulator.vplus.cell import Cell, Engine
-from rx90_emulator.vplus.monitor import Monitor
-from rx90_emulator.vplus.motion import MotionQueue
-from rx90_emulator.vplus.serving import Lines, serve
+from rx90_emulator.vplus.monitor import Monitor, serve
 
 Talk = Callable[..., str]
 
@@ -24,15 +22,12 @@ Talk = Callable[..., str]
 @pytest.fixture
 def talk(shipped: Setup, tmp_path: Path) -> Talk:
     """Return what types a line, lets beats pass until the monitor takes the next one, and returns what was shown."""
-    arm = ProgrammedArm(shipped)
-    cell = Cell(arm, Engine(shipped, arm.ready, keep=False), MotionQueue(arm, arm.ready))
     shown: list[str] = []
-    monitor = Monitor(cell, tmp_path, shown.append)
-    lines = Lines(monitor, shown.append)
+    monitor = Monitor(Cell(shipped, Engine(shipped, keep=False)), tmp_path, shown.append)
 
     def type_line(line: str, beats: int = 0) -> str:
         shown.clear()
-        lines.take(line.encode() + b"\r\n")
+        monitor.receive(line.encode() + b"\r\n")
         for _ in range(beats):
             monitor.beat()
         while monitor.is_busy:
@@ -58,13 +53,12 @@ NUMBER = r"\s+-?\d+\.\d{3}"
         ),
         (["do set #o = #PPOINT(0,-90,90)", "listl #o"], r".*\r\n.*\r\n#o +0.000 +-90.000 +90.000 .*\r\n\."),
         (["HERE o"], rf"HERE o\r\n.*\r\n({NUMBER}){{6}}\r\nChange\? "),
-        (["HERE o", "1,,3", ""], r"\r\n\."),
         (["HERE o", "1,,3", "", "listl o"], r".*\r\n.*\r\no +1.000 +-?0.000 +3.000 .*\r\n\."),
-        (["do x = 4", "listr x"], r"listr x\r\nx = 4\r\n\."),
+        (["do x = 4", "listr x"], r"listr x\r\nx = 4.0\r\n\."),
         (['do $s = "a"', "lists"], r'lists\r\n\$s = "a"\r\n\.'),
         (["nonsense"], r"nonsense\r\n\*Unknown command\*\r\n\."),
         (["do x = y"], r"do x = y\r\n\*Undefined value\* y\r\n\."),
-        (["do move trans(5000)"], r".*\r\n\*Location out of range\*\r\n\."),
+        (["do move trans(5000)"], r".*\r\n\*Location out of range\* 5.000 m from the shoulder\r\n\."),
         (["do if x then"], r".*\r\n\*Illegal monitor command\*\r\n\."),
         (["exec nobody"], r".*\r\n\*Undefined program or variable name\* nobody\r\n\."),
         (["abort"], r"abort\r\n\."),
@@ -85,12 +79,12 @@ def test_a_program_is_edited_run_stored_and_loaded(talk: Talk) -> None:
     assert talk("EDIT p(x)").endswith("    1 ? ")
     assert talk("TYPE x").endswith("    2 ? ")
     talk("DRIVE 1, 10, 50")
-    assert talk("E").endswith("E\r\n.")
-    assert talk("exec p(7)") == "exec p(7)\r\n."
-    assert " 7\r\n" in talk("status", 5)
+    talk("E")
+    assert talk("exec p(7), 2") == "exec p(7), 2\r\n."  # two cycles
+    assert talk("status", 5).count(" 7\r\n") == 1
     assert talk("exec p").endswith("*Program task already active*\r\n.")
-    assert "Program completed\r\n." in talk("", 100)
-    assert re.search(r"\r\n +10\.00\d ", talk("where", 20))
+    assert re.search(r" 7\r\n\r\nProgram completed\r\n\.", talk("", 100))
+    assert re.search(r"\r\n +20\.00\d ", talk("where", 20))
     assert talk("store a") == "store a\r\n."
     assert talk("delete p").endswith("(Y/N)? ")
     assert talk("Y").endswith(".")
@@ -99,17 +93,27 @@ def test_a_program_is_edited_run_stored_and_loaded(talk: Talk) -> None:
     assert "DRIVE 1, 10, 50\r\n" in talk("listp p")
     assert talk("exec p(1)", 3).endswith(" 1\r\n")
     assert talk("abort").endswith("(Y/N)? ")
-    assert talk("Y").endswith(".")
-    assert "idle" in talk("status")
-    talk("EDIT q")
-    talk("NONSENSE")
-    assert "*Unknown instruction*" in talk("E")
+    assert "stopped  p" in [talk("Y"), talk("status")][-1]
+    assert "*Unknown instruction*" in [talk(line) for line in ("EDIT q", "NONSENSE", "E")][-1]
+
+
+def test_a_program_asks_and_goes_on_where_it_stopped(talk: Talk) -> None:
+    """PROMPT waits for a line; RETRY does the step that failed once more, PROCEED goes on behind it."""
+    for line in ("EDIT p", 'PROMPT "name? ", $n', "TYPE $n, x", "PAUSE", 'TYPE "end"', "E"):
+        talk(line)
+    assert talk("exec p", 3).endswith("name? ")
+    assert "*Undefined value*" in talk("Ann", 3)
+    talk("do x = 5")
+    assert "Ann 5\r\n\r\n*Program paused*" in talk("retry", 3)
+    assert "end\r\n\r\nProgram completed" in talk("proceed", 3)
 
 
 def test_a_client_talks_over_tcp(shipped: Setup, tmp_path: Path) -> None:
     """A relative motion along the tool is done while the client asks where the arm is."""
     names: Queue[str] = Queue()
-    threading.Thread(target=serve, args=(shipped, tmp_path, 0, names.put), daemon=True).start()
+    cell = Cell(shipped, Engine(shipped, keep=False))
+    words = {"port": 0, "baud": 9600, "waits": True}
+    threading.Thread(target=serve, args=(cell, tmp_path, names.put), kwargs=words, daemon=True).start()
     port = int(names.get(timeout=60).rpartition(":")[2])
     with socket.create_connection(("127.0.0.1", port), timeout=30) as line:
         stream = line.makefile("rwb", buffering=0)
@@ -126,5 +130,7 @@ def test_a_client_talks_over_tcp(shipped: Setup, tmp_path: Path) -> None:
         command("do break")
         command("do moves here:trans(0,0,-40)")
         command("do break")
+        began = time.monotonic()
         place = [float(number) for number in command("where")[2].split()]
+        assert time.monotonic() - began > 0.2  # some 270 bytes of 10 bits
         assert place[:3] == pytest.approx([450, 0, 405], abs=0.1)

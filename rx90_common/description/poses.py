@@ -1,0 +1,61 @@
+"""The poses of a robot at which the experiments of an identification take place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from rx90_common.base.errors import IdentificationError
+from rx90_common.base.models import FileModel, PerJoint, quantity, read_model
+from rx90_common.base.quoting import counted
+from rx90_common.description.robot import RobotModel
+
+
+class HomePose(FileModel):
+    """Where every experiment begins and ends."""
+
+    position: Annotated[PerJoint, quantity("rad", "Joint positions.")]
+
+
+class PoseList(FileModel):
+    """Where experiments take place."""
+
+    positions: Annotated[
+        tuple[PerJoint, ...], Field(strict=False, min_length=1), quantity("rad", "Joint positions of each pose.")
+    ]
+
+
+class Poses(FileModel):
+    """Where the experiments of an identification take place."""
+
+    home: HomePose
+    sweeps: Annotated[PoseList, Field(description="Where the sweeps take place.")]
+    validation: Annotated[PoseList, Field(description="Between which the validation moves.")]
+
+    @classmethod
+    def load(cls, file: Path) -> Poses:
+        """Read a poses file."""
+        return read_model(cls, file)
+
+    def check(self, robot: RobotModel) -> None:
+        """Check that an arm reaches the poses."""
+        check_pose("home", self.home.position, robot)
+        for number, pose in enumerate(self.sweeps.positions, 1):
+            check_pose(f"pose {number}", pose, robot)
+        for number, pose in enumerate(self.validation.positions, 1):
+            check_pose(f"pose {number} of the validation", pose, robot)
+
+
+def check_pose(pose_name: str, pose: Sequence[float], robot: RobotModel) -> None:
+    """Check that an arm has a pose, rad, within its joints' ranges."""
+    count = len(robot.joint_names)
+    if len(pose) != count:
+        raise IdentificationError(f"{pose_name}: {counted(len(pose), 'number')}; accepted: {count}, one for each joint")
+    for name, value, low, high in zip(robot.joint_names, pose, robot.lower, robot.upper, strict=True):
+        if not low <= value <= high:
+            raise IdentificationError(
+                f"{pose_name}: {name} is {value:g} rad; accepted: [{low:.4g}, {high:.4g}], the joint's limits"
+            )

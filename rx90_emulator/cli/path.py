@@ -1,0 +1,31 @@
+"""Move the tool along a path of lines, arcs and splines, from a path file."""
+
+from __future__ import annotations
+
+import argparse
+
+from rx90_emulator.cli.line import add_sending, plan_and_send
+from rx90_emulator.cli.options import add_robot_arguments
+
+_EPILOG = """\
+The path file says where its points come from: itself, a CSV file or a DXF drawing.
+example: rx90 path seam.yaml --approach
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.epilog = _EPILOG
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument(
+        "path", metavar="PATH", help="path file, or the name of a shipped one, such as paths/circle.yaml"
+    )
+    add_robot_arguments(parser, "urdf", "tool", "controller")
+    add_sending(parser)
+
+
+def main(options: argparse.Namespace) -> None:
+    """Plan the path, and send it."""
+    from rx90_emulator.loop.path_file import load_path
+
+    plan_and_send(options, lambda *_: load_path(options.path))

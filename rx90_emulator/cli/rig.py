@@ -1,0 +1,162 @@
+"""Torque ramps on a friction rig, real or emulated, its self-test, and the emulated rig behind a serial line.
+
+What has been measured until a refusal stands in the folder of results.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from rx90_common.base.share import resolve_config
+from rx90_common.process.interrupts import stop_request
+from rx90_emulator.cli.options import (
+    FINITE,
+    add_output,
+    add_rig_argument,
+    add_robot_argument,
+    add_verbs,
+    new_folder,
+    whole_from,
+)
+
+_BAUD = whole_from(1200, 1_000_000)
+_SEED = whole_from(0, 2**31 - 1)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verbs and their options."""
+    add_verbs(parser, _VERBS)
+
+
+def _add_selftest(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(interrupted="the torque is off")
+    _add_line(parser)
+    add_rig_argument(parser)
+
+
+def _selftest(options: argparse.Namespace) -> int:
+    """Test line, figures, stop, torque limit and watchdog of a rig, and print what was expected and found.
+
+    Nobody need be there, and the shaft stays at rest. The exit code is 0 if all is as expected, 1 if something is not,
+    3 if the rig does not answer.
+    """
+    from friction_bench.experiment.selftest import run  # here, because --help must not wait for it
+
+    return run(options)
+
+
+def _add_ramp(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(files=False, source=False)
+    parser.add_argument("--slopes", type=FINITE, nargs="+", metavar="M", help="slopes, Nm/s (by the first ramp)")
+    _add_measuring(parser)
+
+
+def _add_measuring(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--repeats", type=whole_from(1, 1000), metavar="N", help="ramps of each slope")
+    parser.add_argument("--end-torque", type=FINITE, metavar="NM", help="end of each ramp, Nm at the motor")
+    parser.add_argument(
+        "--load", choices=("none", "joint", "both"), default="both", help="joint coupled? (%(default)s)"
+    )
+    parser.set_defaults(interrupted="the rig is switched off")
+    _add_line(parser)
+    add_rig_argument(parser)
+    _add_seed(parser)
+    parser.add_argument("--clear", action="store_true", help="clear the faults that the rig has latched, then begin")
+    add_output(parser, new_folder, "new folder for bag and report (%(default)s)", default="out/friction",
+               metavar="FOLDER")  # fmt: skip
+    _add_result(parser)
+
+
+def _add_line(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--port", default="emulated", help="serial device, URL or 'emulated' (default)")
+    parser.add_argument("--baud", type=_BAUD, help="line rate (the rig file's)")
+
+
+def _add_seed(parser: argparse.ArgumentParser, default: int | None = None) -> None:
+    parser.add_argument("--seed", type=_SEED, default=default, metavar="N", help="of the emulated rig's noise (0)")
+
+
+def _add_result(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--element", default="joint_6", help="friction element that the joint stands for (%(default)s)")
+    add_robot_argument(parser)
+
+
+def _ramp(options: argparse.Namespace) -> int:
+    """Measure Coulomb and viscous friction with torque ramps; 1 where a load carries no estimate."""
+    from friction_bench.experiment.job import run  # here, because --help must not wait for it
+
+    return run(options)
+
+
+def _add_source(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(files=False, source=True, slopes=None)
+    _add_measuring(parser)
+
+
+def _source(options: argparse.Namespace) -> int:
+    """Repeat the source's experiment, on rig/source.yaml: no-load at its first slope, loaded at its second.
+
+    The source's evaluation stands beside this one's.
+    """
+    return _ramp(options)
+
+
+def _add_read(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(**_NO_MEASURING, files=True, source=False)
+    parser.add_argument("--no-load-file", action="append", default=[], metavar="M:FILE", help="slope and file")
+    parser.add_argument("--loaded-file", action="append", default=[], metavar="M:FILE", help="slope and file")
+    parser.add_argument("--text", choices=("increments", "counts", "velocity", "instantaneous-velocity"),
+                        help="files are plain text of this kind, not CSV; velocity is the mean since the last reading, "
+                        "as pulses give it")  # fmt: skip
+    add_rig_argument(parser)
+    add_output(parser, new_folder, "new folder for the report (%(default)s)", default="out/friction", metavar="FOLDER")
+    _add_result(parser)
+
+
+def _read(options: argparse.Namespace) -> int:
+    """Read old ramps from files, and evaluate them as new ones are."""
+    return _ramp(options)
+
+
+def _add_emulator(parser: argparse.ArgumentParser) -> None:
+    add_rig_argument(parser)
+    parser.add_argument("--link", type=Path, help="symbolic link to make to the pseudo-terminal")
+    parser.add_argument("--loaded", action="store_true", help="couple the revolute joint")
+    _add_seed(parser, 0)
+
+
+def _emulator(options: argparse.Namespace) -> None:
+    """Run an emulated friction rig, with the real firmware, behind a pseudo-terminal for any serial program."""
+    stop = stop_request()
+    from friction_bench.rig.emulated import EmulatedRig, PtyRig
+    from friction_bench.rig.rig_file import load_rig
+
+    rig = load_rig(resolve_config(options.rig))
+    emulated = EmulatedRig(rig, options.seed)
+    emulated.plant.load(options.loaded)
+    pty_rig = PtyRig(emulated, options.link)
+    print(f"emulated rig at {options.link or pty_rig.path}, {rig.baud} baud; Ctrl-C ends it", flush=True)
+    stop.wait()
+    pty_rig.close()
+
+
+_NO_MEASURING = {
+    "slopes": None,
+    "repeats": None,
+    "end_torque": None,
+    "load": "both",
+    "port": "emulated",
+    "baud": None,
+    "seed": None,
+    "clear": False,
+}
+"""Options of a measurement, of which there is none where old ramps are read."""
+
+_VERBS = (
+    (_add_ramp, _ramp, "measure friction with torque ramps"),
+    (_add_source, _source, "repeat the source's experiment"),
+    (_add_read, _read, "evaluate old ramps from files"),
+    (_add_emulator, _emulator, "run an emulated rig behind a pseudo-terminal"),
+    (_add_selftest, _selftest, "test a rig, without questions, at rest"),
+)

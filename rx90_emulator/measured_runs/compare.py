@@ -1,0 +1,466 @@
+"""Simulate the motion of a measured arm in the closed loop without ROS, and compare torques and positions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import BPoly, BSpline, make_interp_spline
+
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.mapping import LogMapping
+from rx90_common.bags.reading import read_joint_states
+from rx90_common.bags.recorded import check_robot
+from rx90_common.bags.topics import absolute
+from rx90_common.base.arrays import MAX_JOINTS, Array
+from rx90_common.base.errors import ConfigError, IdentificationError, TrajectoryError, check_type
+from rx90_common.base.quoting import counted, listed
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.description.drives import load_drives
+from rx90_common.description.robot_files import RobotFiles
+from rx90_common.description.urdf import UrdfFile
+from rx90_common.exchange.topics import MOTOR_STATES, motor_names
+from rx90_common.friction.friction_file import FrictionFile
+from rx90_emulator.identification.options import MeasuredLayout
+from rx90_emulator.identification.records import BagSource, JointRecord, read_record
+from rx90_emulator.identification.robot import (
+    JOINT_STATES,
+    BagLayout,
+    arm_layout,
+    message_names,
+    recorded_topic,
+    topic_names,
+    with_signals,
+)
+from rx90_emulator.identification.rows.excitation import element_states
+from rx90_emulator.identification.rows.filtering import (
+    Bandwidths,
+    FilteredRun,
+    filter_record,
+    low_pass,
+    low_pass_taps,
+)
+from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest
+from rx90_emulator.loop.closed_loop import run_setpoints
+from rx90_emulator.loop.line import PathAccuracy, followed_accuracy
+from rx90_emulator.loop.result import FastSeries, SlowSeries, empty_series
+from rx90_emulator.loop.setup import Setup
+from rx90_emulator.measured_runs.options import MeasuredTolerances
+
+REFERENCE = "rx90_controller/reference"
+_HOLD_S = 0.5  # s at rest before a motion, in which the integrators take over the arm's weight
+_MIN_LEAD_S = 0.5  # s, least time for reaching the velocity at the beginning of a record
+_REST_SPEED = 1e-6  # rad/s, of a set-point
+_RANGE_SLACK = 1e-5  # of a range: times are whole nanoseconds
+_MAX_GAP_PERIODS = 3.5  # longest gap between set-points that is interpolated, in periods
+
+_OTHER_ARMS = (
+    f"the closed loop simulates arms of 1 to {MAX_JOINTS} revolute joints in series, by drives, friction and "
+    "controller files; for the torque of another arm: rx90 identify check FILE BAG --urdf URDF"
+)
+
+
+def simulated_setup(files: RobotFiles) -> Setup:
+    """Return the setup of a robot's files; refuse an arm of another structure, naming what is possible for it."""
+    for path in (files.drives, files.controller):
+        if not path.is_file():
+            raise ConfigError(f"{path.parent}: no {path.name}; {_OTHER_ARMS}")
+    with suppress(ConfigError):  # Setup.load names the fault
+        joints = tuple(UrdfFile(files.urdf).limits)
+        turning = load_drives(files.drives).turning
+        if len(joints) != len(turning.turns):
+            counts = f"{counted(len(joints), 'movable joint')}, and {files.drives} is of {len(turning.turns)}"
+            raise IdentificationError(f"{files.urdf}: {counts}; {_OTHER_ARMS}")
+        names = turning.element_names(joints)
+        there = FrictionFile.read(files.friction).elements.entries
+        if missing := [name for name in names if name not in there]:
+            raise IdentificationError(f"{files.friction}: no friction element {listed(missing)}; {_OTHER_ARMS}")
+    return Setup.load(files)
+
+
+def _bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
+    """Return the layout of a bag; refuse the bag of another arm, whose first message names none of its joints."""
+    check_robot(bag, setup.robot.model.name)
+    joints = setup.robot.joint_names
+    options, mapping = with_signals(options, [bag])
+    topic = options.topic or recorded_topic(bag, (MOTOR_STATES, JOINT_STATES), mapping)
+    names = message_names(bag, topic, mapping) if options.names is None else ()
+    if names and not {*names} & {*joints, *motor_names(len(joints))}:
+        raise IdentificationError(
+            f"{bag}: {topic} is of {listed(names)}; accepted: {listed(joints)}, or names in a signal map; {_OTHER_ARMS}"
+        )
+    return arm_layout(topic, joints, options, lambda: setup.drives, mapping)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredComparison:
+    """A measured run and the simulated one along the same set-points, both through the same low-pass.
+
+    Attributes:
+        names: of the joints.
+        robot: name of the simulated robot.
+        source: the measured bag.
+        torque: measured and simulated drive torque at the joints, compared where a joint does not rest, for there it
+            depends on the earlier motion.
+        position: measured, rad, shape (k, n).
+        simulated_position: rad, shape (k, n).
+        lag: delay of the simulated against the measured motion, s; the series are shifted by it.
+        bandwidths: of the set-points, and of torques and positions here.
+        setpoints: source of the set-points, in words.
+        paths: path errors along the set-points below the compared band, measured and simulated.
+        saturated: share of the time in which each motor was at its limit in the simulation, shape (n,).
+        remarks: further notes, a sentence each.
+        tolerances: limits for agreement.
+    """
+
+    names: tuple[str, ...]
+    robot: str
+    source: BagSource
+    torque: TorquePrediction
+    position: Array
+    simulated_position: Array
+    lag: float
+    bandwidths: Bandwidths
+    setpoints: str
+    paths: tuple[PathAccuracy, PathAccuracy]
+    saturated: Array
+    remarks: tuple[str, ...]
+    tolerances: MeasuredTolerances
+
+    @property
+    def compared_share(self) -> Array:
+        """Return the share of the time in which a joint's torque is compared, shape (n,)."""
+        return np.asarray(self.torque.compared.mean(axis=0))
+
+    @property
+    def position_rms(self) -> Array:
+        """Return the RMS position difference, rad, shape (n,)."""
+        return np.asarray(np.sqrt(np.mean((self.simulated_position - self.position) ** 2, axis=0)))
+
+    @property
+    def position_worst(self) -> Array:
+        """Return the largest position difference, rad, shape (n,)."""
+        return np.asarray(np.abs(self.simulated_position - self.position).max(axis=0))
+
+    @property
+    def criteria(self) -> tuple[Criterion, Criterion, Criterion]:
+        """Return the criteria of the verdict: torques of all joints and of each, and positions."""
+        limits = self.tolerances
+        return (
+            Criterion("torque RMS of all joints", self.torque.total_share, limits.total_torque),
+            largest("largest", self.names, self.torque.rms_share, limits.torque),
+            largest("position", self.names, self.position_worst, limits.position, "mrad", 3),
+        )
+
+    @property
+    def passed(self) -> bool:
+        """Return whether torques, of each joint that moves and of all together, and positions agree."""
+        return all(one.passed for one in self.criteria)
+
+
+_MAX_BANDWIDTH_SHARE = 0.3  # largest bandwidth of the set-points over the rate of the position loop
+_MAX_LAG_S = 0.1  # s, largest lag or lead of the simulated motion
+_MIN_TRAVEL = 2e-3  # rad, several times the presliding travel of a joint; a joint that moves less is at rest
+_LAG_ROUNDS = 4  # iterations of the search for the lag
+_DEFAULT_LAYOUT = MeasuredLayout()
+_DEFAULT_TOLERANCES = MeasuredTolerances()
+
+
+def compare_measured(
+    bag: Path | str,
+    setup: Setup,
+    layout: MeasuredLayout = _DEFAULT_LAYOUT,
+    tolerances: MeasuredTolerances = _DEFAULT_TOLERANCES,
+    *,
+    bandwidth: float | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> MeasuredComparison:
+    """Run the closed loop along the motion of a measured arm and compare torques and positions with the measured ones.
+
+    Set-points are those of this project's controller if the bag contains them, else the measured path, smoothed without
+    delay, with its velocities and accelerations. Both runs pass the same zero-phase low-pass.
+
+    Args:
+        bag: of an arm of this project's structure, with positions and efforts of its joints or motors.
+        setup: the robot to simulate.
+        layout: the contents of the bag.
+        tolerances: limits for agreement.
+        bandwidth: of the measured path as set-points, Hz; a third of it for the compared torques and positions. By
+            default chosen from the data, as for an identification.
+        progress: called with the name of each of three steps before it.
+
+    Raises:
+        BagError: for a bag that cannot be read.
+        IdentificationError: for a bag or options that contradict each other, or a bag in which nothing moves.
+        TrajectoryError: for a path beyond a joint's range, naming joint, value, time and range.
+        DivergenceError: naming joint and tick.
+        SupervisionError: if the controller's supervision cuts the power.
+    """
+    check_type(setup=(setup, Setup))
+    path = Path(bag)
+    what = _bag_layout(path, setup, layout)
+    progress(path.name)
+    record = read_record(path, what)
+    pieces = filter_record(
+        record,
+        _bandwidths(record, setup, bandwidth, has_setpoints=absolute(REFERENCE) in topic_names(path, what.mapping)),
+    )
+    run = max(pieces, key=lambda piece: len(piece.time))
+    # A joint counts as moving if every motor and friction element that it turns is moving.
+    matrix = setup.drives.turning.element_matrix
+    resting = element_states(run, matrix)[0] @ (matrix != 0.0)
+    moves = np.asarray(~resting & (np.ptp(run.position, axis=0) > _MIN_TRAVEL))
+    nothing = IdentificationError(
+        f"{path}: no joint moves, and torques at rest are not compared; accepted: a joint that slides over "
+        f"{1e3 * _MIN_TRAVEL:g} mrad or more"
+    )
+    if not moves.any():
+        raise nothing
+    setpoints = _recorded_setpoints(run, record.position[0], setup, what) or path_setpoints(run, setup)
+    beyond = _beyond(setpoints, path, setup)
+    progress("closed loop")
+    simulated, begin, end, saturated = _simulated(setup, setpoints, run)
+    progress("comparison")
+    time = run.time[run.rows]
+    rows = (time >= begin + _MAX_LAG_S) & (time <= end - _MAX_LAG_S)  # covered for any lag of the simulated arm
+    if not rows.any():
+        raise IdentificationError("measured and simulated run have no time in common; accepted: a longer bag")
+    if not moves[rows].any():
+        raise nothing
+    time = time[rows]
+    velocity = run.velocity[run.rows][rows]
+    measured = run.parallel(np.stack([run.position, run.torque], axis=1))[rows]
+    lag = 0.0
+    for _ in range(_LAG_ROUNDS):  # least squares of the positions
+        difference = simulated(time + lag - setpoints.start)[:, 0] - measured[:, 0]
+        lag -= float(np.sum(difference * velocity)) / float(np.sum(velocity**2))
+        lag = float(np.clip(lag, -_MAX_LAG_S, _MAX_LAG_S))
+    follows = np.asarray(simulated(time + lag - setpoints.start))
+    when = np.arange(len(setpoints.values), dtype=np.float64) * setup.rates.position_period  # since the first of them
+    measured_path = followed_accuracy(setup.robot, time - setpoints.start, measured[:, 0], when, setpoints.values[:, 0])
+    simulated_path = followed_accuracy(setup.robot, time - setpoints.start, follows[:, 0], when, setpoints.values[:, 0])
+    return MeasuredComparison(
+        names=run.names,
+        robot=setup.robot.model.name,
+        source=record.bag,
+        torque=TorquePrediction(time, measured[:, 1], follows[:, 1], moves[rows]),
+        position=measured[:, 0],
+        simulated_position=follows[:, 0],
+        lag=lag,
+        bandwidths=run.bandwidths,
+        setpoints=setpoints.source,
+        paths=(measured_path, simulated_path),
+        saturated=saturated,
+        remarks=(*beyond, *_remarks(record, pieces, run)),
+        tolerances=tolerances,
+    )
+
+
+def _bandwidths(record: JointRecord, setup: Setup, bandwidth: float | None, *, has_setpoints: bool) -> Bandwidths:
+    """Return the bandwidths by the data, or by the user, as far as the position loop's rate allows."""
+    highest = _MAX_BANDWIDTH_SHARE * setup.rates.position_hz
+    if bandwidth is None and has_setpoints:
+        rate = 1.0 / float(np.median(np.diff(record.time)))
+        position = min(highest, _MAX_BANDWIDTH_SHARE * rate)
+        return Bandwidths(
+            position, position / 3.0, "the set-points are in the bag, so no noise of positions is in them"
+        )
+    if bandwidth is None:
+        return Bandwidths.of_motion([record]).at_most(highest, f"{_MAX_BANDWIDTH_SHARE:g} of the position loop's rate")
+    if not 0.0 < bandwidth <= highest:
+        raise IdentificationError(f"--bandwidth is {bandwidth:g} Hz; accepted: above 0, up to {highest:g} Hz")
+    return Bandwidths(bandwidth, bandwidth / 3.0)
+
+
+class _SetPoints(NamedTuple):
+    """Set-points for the simulated arm; times by the bag's stamps, s; before `begin` the arm moves to the first."""
+
+    start: float
+    values: Array  # position rad, velocity rad/s, acceleration rad/s^2, one for each position tick, shape (m, 3, n)
+    begin: float
+    initial_position: Array  # where the simulated arm rests at `start`, rad, shape (n,)
+    source: str  # in words
+
+
+def _recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, layout: BagLayout) -> _SetPoints | None:
+    """Return the set-points of this project's controller in a bag; None if it contains none.
+
+    A bag that begins at time 0 with an arm at rest is simulated as it ran, from the release of its brakes on. `first`
+    is the first measured position, rad, shape (n,).
+    """
+    bag = run.source.path
+    period = setup.rates.position_period
+    found = read_setpoints(bag, run.names, layout.zero, layout.mapping)
+    if found is None:
+        return None
+    series, position, velocity = found
+    steps = np.diff(series.stamp_ns)
+    time = series.time
+    if len(steps) < 2 or not (steps > 0).all() or steps.max() > _MAX_GAP_PERIODS * np.median(steps):
+        raise IdentificationError(f"{bag}: the set-points of {series.topic} have gaps; accepted: a steady stream")
+    if time[0] > run.time[-1] or time[-1] < run.time[0]:
+        raise IdentificationError(f"{bag}: {series.topic} and the measured states are of different times")
+    if (steps != setup.rates.period_ns * setup.rates.ratio).any():
+        since = (series.stamp_ns - series.stamp_ns[0]) / NANOSECONDS
+        curve = BPoly.from_derivatives(since, np.stack([position, velocity], axis=1))
+        even = np.arange(int(since[-1] / period + 1e-6) + 1) * period
+        position = curve(even)
+        velocity = curve(even, 1)
+    values = setpoint_rows(position, velocity, setup)
+    source = f"{REFERENCE} in the bag"
+    if series.stamp_ns[0] == 0 and np.abs(velocity[0]).max() < _REST_SPEED:
+        return _SetPoints(0.0, values, 0.0, np.clip(first, setup.robot.lower, setup.robot.upper), source)
+    return _with_lead_in(float(time[0]), values, setup, source)
+
+
+def path_setpoints(run: FilteredRun, setup: Setup) -> _SetPoints:
+    """Return the smoothed measured path as set-points, with its velocities and accelerations."""
+    period = setup.rates.position_period
+    # From 0 on: stamps of the wall clock are rounded too much for accelerations.
+    samples = np.arange(len(run.time)) / run.rate
+    count = int(samples[-1] / period + 1e-6) + 1
+    curve = make_interp_spline(samples, run.position, k=5)
+    time = np.minimum(np.arange(count) * period, samples[-1])
+    values = np.ascontiguousarray(np.stack([curve(time, nu) for nu in range(3)], axis=1))
+    source = f"the measured path below {run.bandwidths.position:.3g} Hz"
+    return _with_lead_in(float(run.time[0]), values, setup, source)
+
+
+def _with_lead_in(begin: float, values: Array, setup: Setup, source: str) -> _SetPoints:
+    """Prepend a rest, and a motion from rest to the velocity of the first set-point."""
+    period = setup.rates.position_period
+    limits = setup.controller.limits(setup.robot)
+    position, velocity, _ = values[0]
+    lasting = max(_MIN_LEAD_S, float(np.max(2.0 * np.abs(velocity) / limits.acceleration)))
+    lead = round(lasting / period)
+    hold = round(_HOLD_S / period)
+    start_pose = np.clip(position - 0.5 * lead * period * velocity, limits.lower, limits.upper)
+    start_pose = np.where(np.abs(velocity) < _REST_SPEED, position, start_pose)
+    still = np.stack([start_pose, 0.0 * start_pose, 0.0 * start_pose])
+    curve = BPoly.from_derivatives([0.0, lead * period], np.stack([still, values[0]]))
+    time = np.arange(lead) * period
+    moving = np.stack([curve(time, nu) for nu in range(3)], axis=1)
+    whole = np.ascontiguousarray(np.concatenate([np.broadcast_to(still, (hold, *still.shape)), moving, values]))
+    return _SetPoints(begin - (hold + lead) * period, whole, begin, start_pose, source)
+
+
+def _beyond(setpoints: _SetPoints, bag: Path, setup: Setup) -> tuple[str, ...]:
+    """Return a sentence for velocities, and one for accelerations, that the controller would refuse.
+
+    The measured arm did move so: these are simulated nevertheless, up to the limits of the controller's supervision.
+    Positions beyond a joint's range are refused.
+    """
+    limits = setup.controller.limits(setup.robot)
+    found = []
+    for k, (what, unit, low, high) in enumerate((
+        ("position", "rad", limits.lower, limits.upper),
+        ("velocity", "rad/s", -limits.velocity, limits.velocity),
+        ("acceleration", "rad/s^2", -limits.acceleration, limits.acceleration),
+    )):  # fmt: skip
+        values = setpoints.values[:, k]
+        beyond = np.maximum(low - values, values - high) / (high - low)
+        row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+        if beyond[row, joint] <= _RANGE_SLACK:
+            continue
+        time = setpoints.start + row * setup.rates.position_period
+        where = f"{time:.3f} s" if time >= setpoints.begin else "the lead-in, before the bag begins"
+        fault = (
+            f"{limits.names[joint]} needs the {what} {values[row, joint]:.4g} {unit} at {where}; accepted by the "
+            f"robot's files: [{low[joint]:.4g}, {high[joint]:.4g}] {unit}"
+        )
+        if k == 0:
+            raise TrajectoryError(f"{bag}: {fault}; set-points are {setpoints.source}")
+        found.append(f"{fault}; the simulation goes on nevertheless")
+    return tuple(found)
+
+
+def _simulated(setup: Setup, setpoints: _SetPoints, run: FilteredRun) -> tuple[BSpline, float, float, Array]:
+    """Return the simulated run, filtered by the low-pass of the measured one.
+
+    Returns:
+        Position rad and torque Nm by the time since the first set-point, shape (k, 2, n), the first and last time
+        covered, by the bag's stamps, and the share of the time in which each motor was at its limit, shape (n,).
+    """
+    # Sampled at the measured rate: aliasing by slow sampling is then the same on both sides.
+    rates = setup.rates
+    often = run.rate > 1.5 * setup.rates.position_hz
+    fast, slow, saturated = run_along(setup, setpoints.values, setpoints.initial_position, record_fast=often)
+    values = slow.joint_states[:, ::2]
+    rate = float(rates.base_hz if often else rates.position_hz)
+    if often:
+        turns = setup.drives.gear[:, None] * setup.drives.turning.turns
+        position = fast.motor_states[:, 0] @ np.linalg.inv(turns).T
+        values = np.stack([position, fast.motor_states[:, 2] @ turns], axis=1)
+    taps = low_pass_taps(rate, run.bandwidths.torque)
+    filtered = low_pass(values, taps)
+    if len(filtered) < 4:
+        raise IdentificationError(f"{run.source.path}: too short for a low-pass of {run.bandwidths.torque:.3g} Hz")
+    since = (len(taps) // 2 + np.arange(len(filtered))) / rate
+    begin = setpoints.start + float(since[0])
+    end = setpoints.start + float(since[-1])
+    return make_interp_spline(since, filtered, k=3), max(begin, setpoints.begin), end, saturated
+
+
+def _remarks(record: JointRecord, pieces: tuple[FilteredRun, ...], run: FilteredRun) -> tuple[str, ...]:
+    """Return which parts of the bag are not compared, and why."""
+    found = []
+    cut = 2.0 * (1.5 / run.bandwidths.position + 12.0 / run.rate)  # cut off by the filters at both ends
+    if len(pieces) > 1 or record.time[-1] - record.time[0] - (run.time[-1] - run.time[0]) > 1.5 * cut:
+        found.append(
+            f"there are gaps in the record: only {run.time[0]:.3f} to {run.time[-1]:.3f} s of {record.time[0]:.3f} to "
+            f"{record.time[-1]:.3f} s is compared, the longest part without one"
+        )
+    if record.outliers:
+        found.append(f"left out: {counted(record.outliers, 'sample')} (NaN, single spikes or repeated stamps)")
+    return tuple(found)
+
+
+def read_setpoints(
+    bag: Path, names: Sequence[str], zero: Array | None, mapping: LogMapping | None = None
+) -> tuple[JointSeries, Array, Array] | None:
+    """Return the set-points of this project's controller in a bag; None if it contains none.
+
+    Args:
+        bag: the bag.
+        names: of the joints.
+        zero: recorded angles in the zero pose of the URDF, rad, shape (n,); they are subtracted from the positions.
+        mapping: the columns of a table, if the file beside it does not state them.
+
+    Returns:
+        The series as it is in the bag, positions rad and velocities rad/s, shape (m, n).
+    """
+    if absolute(REFERENCE) not in topic_names(bag, mapping):
+        return None
+    series = read_joint_states(bag, REFERENCE, names, mapping=mapping)
+    if series.position is None or series.velocity is None:
+        return None
+    return series, series.position if zero is None else series.position - zero, series.velocity
+
+
+def setpoint_rows(position: Array, velocity: Array, setup: Setup) -> Array:
+    """Return set-points at the position loop's rate with accelerations that lead to the next, shape (m, 3, n)."""
+    acceleration = np.diff(velocity, axis=0, append=velocity[-1:]) / setup.rates.position_period
+    return np.ascontiguousarray(np.stack([position, velocity, acceleration], axis=1))
+
+
+def run_along(
+    setup: Setup, setpoints: Array, start: Array, *, record_fast: bool = False
+) -> tuple[FastSeries, SlowSeries, Array]:
+    """Run the closed loop along set-points, shape (m, 3, n), from rest at `start`, rad, shape (n,).
+
+    Returns:
+        The records at the base rate and at the position loop's rate, and the share of the ticks in which each motor was
+        at its limit, shape (n,).
+    """
+    ticks = len(setpoints) * setup.rates.ratio
+    plant = setup.plant()
+    controller = setup.cs7b()
+    plant.reset(start)
+    controller.reset(plant.motor_states()[0])
+    fast, slow = empty_series(ticks, setup.rates.ratio, record_fast=record_fast, arm=setup.drives.turning.size)
+    run_setpoints(plant, controller, setpoints, ticks, fast, slow)
+    return fast, slow, np.asarray(controller.saturated / ticks)

@@ -1,0 +1,310 @@
+"""The table of functions and operators: the kinds of their arguments, and their values."""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+import time
+from collections.abc import Iterable
+from typing import Any, Final
+
+import numpy as np
+
+from rx90_common.base.arrays import Array
+from rx90_emulator.vplus.task import Task
+from rx90_emulator.vplus.transformations import frame, inverse, placed, trans
+from rx90_emulator.vplus.tree import Tree, entries
+from rx90_emulator.vplus.values import NUMBERS, Cell, Format, Joints, Value, VplusError
+
+_LARGEST_WIDTH: Final = 128
+_SAME: Final = 1e-3  # mm, and 1e-3 of a turn's matrix
+_FORMAT: Final = re.compile(r"([DEFGHIO])(\d{0,3})(?:\.(\d{1,2}))?$")
+_CODES: Final = {"H": "X", "I": "d", "O": "o"}
+_NUMBER: Final = re.compile(r"\s*(?:\^B([01]+)|\^O([0-7]+)|\^H([0-9A-F]+)|([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d\d?)?))")
+_BASES: Final = (2, 8, 16)
+
+
+def _signed(number: int) -> int:
+    """Return the integer of 24 bits with sign that has the lower bits of a number."""
+    return (number + (1 << 23)) % (1 << 24) - (1 << 23)
+
+
+# Strings.
+
+
+def written(task: Task, items: Iterable[Value]) -> tuple[str, bool]:
+    """Return the text of the items of TYPE or $ENCODE, and whether a line ends behind it."""
+    text = ""
+    ends = True
+    style = "D"
+    for item in items:
+        if not isinstance(item, Format):
+            text += item if isinstance(item, str) else _shown(item, style)
+            style = style if task.readings.format_persists else "D"
+        elif item.text == "S":
+            ends = False
+        elif item.text[0] in "XC":
+            text += {"X": " ", "C": "\n"}[item.text[0]] * min(int(item.text[1:] or 1), _LARGEST_WIDTH)
+        else:
+            style = item.text
+    return text, ends
+
+
+def _shown(number: Value, style: str) -> str:
+    match = _FORMAT.match(style)
+    if match is None or not isinstance(number, float):
+        formats = "/D /Ew.d /Fw.d /Gw.d /Hn /In /On /Xn /Cn /S"
+        raise VplusError("Illegal value", f"format /{style} of a number; accepted: {formats}")
+    if match[1] == "D":
+        return f" {number + 0.0:.7g}"
+    width = int(match[2] or 0)
+    if match[1] in _CODES:
+        shown = f"{round(number):{width}{_CODES[match[1]]}}"
+    else:
+        places = int(match[3] or 0)
+        seen = number if abs(number) >= 0.5 * 10.0**-places else 0.0  # the sign of zero would show
+        shown = f"{seen:{width}.{places}{match[1]}}"
+    return "*" * width if width and len(shown) > width else shown
+
+
+def number_of(text: str) -> float:
+    """Return the number that a string begins with, 0 if there is none."""
+    match = _NUMBER.match(text.upper())
+    if match is None:
+        return 0.0
+    kind = match.lastindex or 1
+    return float(match[kind]) if kind > len(_BASES) else float(int(match[kind], _BASES[kind - 1]))
+
+
+def _decoded(source: Cell, delimiters: str, mode: float | None = None) -> str:
+    """Take characters off the front of a string: up to a delimiter, or with mode 1 the leading delimiters."""
+    text = source.value
+    if not isinstance(text, str):
+        raise VplusError("Undefined value", source.name)
+    wants_marks = (mode or 0.0) > 0.0
+    count = 0
+    while count < len(text) and (text[count] in delimiters) == wants_marks:
+        count += 1
+    source.store(text[count:])
+    return text[:count]
+
+
+def _error_text(number: int) -> str:
+    texts = [text for text, code in NUMBERS.items() if code == number]
+    return f"*{texts[0] if texts else 'Unknown error code'}*"
+
+
+# Locations, signals, the state of the program.
+
+
+def _bit_sum(truths: Iterable[bool]) -> int:
+    return sum(1 << bit for bit, truth in enumerate(truths) if truth)
+
+
+def _in_range(task: Task, target: Array | Joints) -> int:
+    """Return 0 for a location that the arm reaches; else bit n for joint n, or bit 14 where no joints would do."""
+    try:
+        q = task.arm.angles(target) if isinstance(target, Joints) else task.solve(target)
+    except VplusError:
+        return 1 << 13
+    return sum(1 << joint for joint in task.arm.outside(q))
+
+
+def _configuration(task: Task) -> int:
+    """Return the present configuration as bits: 1 for LEFTY, 2 for BELOW, 4 for FLIP."""
+    posture = task.arm.posture(task.cell.drive.position())
+    lefty = posture.shoulder == "back"
+    return _bit_sum([lefty, (posture.elbow == "positive") == lefty, posture.wrist == "negative"])
+
+
+def _last(task: Task, array: Tree) -> int:
+    """Return the highest index in use of an array, -1 for one without elements."""
+    cells = task.table(array).items()
+    return max((index[-1] for index, cell in cells if index and cell.value is not None), default=-1)
+
+
+def _speed(task: Task, kind: int) -> float:
+    """Return a speed, percent: 1 of the monitor, 2 of all motions, 3 of the next one."""
+    upcoming = {} if kind == 2 else task.next
+    return task.queue.monitor if kind == 1 else {**task.always, **upcoming}["SPEED"]
+
+
+_KINDS: Final = """
++  plain plain
+-  real real
+*  real real
+/  real real
+MOD  real real
+AND  real real
+OR  real real
+XOR  real real
+BAND  integer integer
+BOR  integer integer
+BXOR  integer integer
+==  folded folded
+<>  folded folded
+<  folded folded
+<=  folded folded
+>  folded folded
+>=  folded folded
+NOT  real
+COM  integer
+:  place place
+TRUE ON
+FALSE OFF
+PI
+SIN  real
+COS  real
+TAN  real
+ATAN2  real real
+SQR  real
+SQRT  real
+ABS  real
+INT  real
+FRACT  real
+SIGN  real
+MIN  real real*
+MAX  real real*
+OUTSIDE  real real real
+LEN  text
+ASC  text integer?
+POS  text text integer?
+VAL  text
+STRDIF  text text
+$CHR  integer
+$MID  text integer integer
+$TRUNCATE  text
+$DECODE  variable text real?
+$ERROR  integer
+TRANS  real? real? real? real? real? real?
+#PPOINT  real? real? real? real? real? real?
+INVERSE  place
+SHIFT  place real? real? real?
+SCALE  place real
+FRAME  place place place place
+RX  real
+RY  real
+RZ  real
+DX  place
+DY  place
+DZ  place
+DISTANCE  place place
+IDENTICAL  place place
+NULL
+"""
+_KINDS_OF_STATE: Final = """
+RANDOM
+TOOL
+BASE
+HERE
+DEST
+#PHERE
+#PDEST
+TIME
+$TIME  any*
+$ENCODE  any*
+INRANGE  location
+CONFIG  any?
+DEFINED  tree
+LAST  tree
+SIG  integer integer*
+BITS  integer integer?
+TIMER  integer
+SWITCH  name
+SPEED  integer
+ACCEL  integer
+DURATION  integer?
+ERROR  integer
+IOSTAT  integer
+"""
+
+_VALUES: Final[dict[str, Any]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": operator.truediv,
+    "MOD": lambda left, right: math.fmod(left, right) if right else left / right,
+    "AND": lambda left, right: bool(left) & bool(right),
+    "OR": lambda left, right: bool(left) | bool(right),
+    "XOR": lambda left, right: bool(left) ^ bool(right),
+    "BAND": lambda left, right: _signed(left & right),
+    "BOR": lambda left, right: _signed(left | right),
+    "BXOR": lambda left, right: _signed(left ^ right),
+    "==": operator.eq,
+    "<>": operator.ne,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "NOT": operator.not_,
+    "COM": lambda number: _signed(~number),
+    ":": operator.matmul,
+    "TRUE": lambda: True,
+    "FALSE": lambda: False,
+    "PI": lambda: math.pi,
+    "SIN": lambda angle: math.sin(math.radians(angle)),
+    "COS": lambda angle: math.cos(math.radians(angle)),
+    "TAN": lambda angle: math.tan(math.radians(angle)),
+    "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)),
+    "SQR": lambda number: number * number,
+    "SQRT": math.sqrt,
+    "ABS": abs,
+    "INT": math.trunc,
+    "FRACT": lambda number: math.fmod(number, 1.0),
+    "SIGN": lambda number: 1 if number >= 0.0 else -1,
+    "MIN": lambda *numbers: min(numbers),
+    "MAX": lambda *numbers: max(numbers),
+    "OUTSIDE": lambda low, number, high: not low <= number <= high,
+    "LEN": len,
+    "ASC": lambda text, place=1: ord(text[place - 1]) if 1 <= place <= len(text) else -1,
+    "POS": lambda text, part, start=1: text.find(part, max(start - 1, 0)) + 1,
+    "VAL": number_of,
+    "STRDIF": lambda left, right: (left > right) - (left < right),
+    "$CHR": lambda code: bytes([code]).decode("latin-1"),
+    "$MID": lambda text, first, count: text[max(first - 1, 0) :][: max(count, 0)],
+    "$TRUNCATE": lambda text: text.partition("\0")[0],
+    "$DECODE": _decoded,
+    "$ERROR": _error_text,
+    "TRANS": trans,
+    "#PPOINT": lambda *joints: Joints([*(joint or 0.0 for joint in joints), *[0.0] * 6][:6]),
+    "INVERSE": inverse,
+    "SHIFT": lambda place, *by: trans(*by) @ place,
+    "SCALE": lambda place, factor: placed(place[:3, :3], factor * place[:3, 3]),
+    "FRAME": frame,
+    "RX": lambda angle: trans(0.0, 0.0, 0.0, -90.0, angle, 90.0),
+    "RY": lambda angle: trans(0.0, 0.0, 0.0, 0.0, angle),
+    "RZ": lambda angle: trans(0.0, 0.0, 0.0, angle),
+    "DX": lambda place: place[0, 3].item(),
+    "DY": lambda place: place[1, 3].item(),
+    "DZ": lambda place: place[2, 3].item(),
+    "DISTANCE": lambda left, right: math.dist(left[:3, 3], right[:3, 3]),
+    "IDENTICAL": lambda left, right: np.abs(left - right).max() < _SAME,
+    "NULL": lambda: np.eye(4),
+}
+_STATE: Final[dict[str, Any]] = {
+    "RANDOM": lambda task: task.lot.random(),
+    "TOOL": lambda task: task.tool,
+    "BASE": lambda task: task.base,
+    "HERE": lambda task: task.tool_at(task.cell.drive.position()),
+    "DEST": lambda task: task.tool_at(task.queue.destination),
+    "#PHERE": lambda task: task.arm.joints(task.cell.drive.position()),
+    "#PDEST": lambda task: task.arm.joints(task.queue.destination),
+    "TIME": lambda task: task.cell.time,
+    "$TIME": lambda task, *_: time.strftime("%d-%b-%y %H:%M:%S", time.gmtime(task.cell.time)),
+    "$ENCODE": lambda task, *items: written(task, items)[0],
+    "INRANGE": _in_range,
+    "CONFIG": lambda task, _=None: _configuration(task),
+    "DEFINED": lambda task, variable: task.cell_of(variable).value is not None,
+    "LAST": _last,
+    "SIG": lambda task, *signals: all(map(task.cell.is_on, signals)),
+    "BITS": lambda task, first, count=1: _bit_sum(task.cell.is_on(first + bit) for bit in range(min(count, 24))),
+    "TIMER": lambda task, number: task.cell.time - task.timers.get(number, 0.0),
+    "SWITCH": lambda task, name: name in task.switches,
+    "SPEED": _speed,
+    "ACCEL": lambda task, kind: task.always["UP" if kind == 1 else "DOWN"],
+    "DURATION": lambda task, _=1: task.always["DURATION"],
+    "ERROR": lambda task, _: task.error,
+    "IOSTAT": lambda *_: 1,
+}
+FUNCTIONS: Final = entries(_KINDS, _VALUES, of_task=False) | entries(_KINDS_OF_STATE, _STATE, of_task=True)

@@ -1,0 +1,482 @@
+"""The table of instructions: the kinds of their arguments, and what they do."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+
+from rx90_common.base.arrays import Array
+from rx90_emulator.vplus.functions import number_of, written
+from rx90_emulator.vplus.motion import Line, Motion, Profile, plan
+from rx90_emulator.vplus.task import Loop, Reaction, Task, Waits
+from rx90_emulator.vplus.transformations import aligned, six_numbers, trans
+from rx90_emulator.vplus.tree import Reference, Tree, entries
+from rx90_emulator.vplus.values import Cell, Joints, Value, VplusError
+
+_UNITS: Final = {"MMPS": 1.0, "IPS": 25.4}  # mm/s
+_NULL_TIME: Final = 2.0  # s, until errors must be small
+_STRAIGHT: Final = ("MOVES", "MOVEST", "APPROS", "DEPARTS", "ALIGN")
+_HAND: Final = {"O": (3001, -3002), "C": (-3001, 3002), "R": (-3001, -3002)}
+"""Signals of the hand: open, closed, relaxed."""
+_CONFIGURATIONS: Final = {
+    "LEFTY": {"shoulder": "back"},
+    "RIGHTY": {"shoulder": "front"},
+    "ABOVE": {"elbow": "above"},
+    "BELOW": {"elbow": "below"},
+    "FLIP": {"wrist": "negative"},
+    "NOFLIP": {"wrist": "positive"},
+}
+_SWITCHED: Final = {"CPON": ("CP", 1.0), "CPOFF": ("CP", 0.0), "NULL": ("NULL", 1.0), "NONULL": ("NULL", 0.0)}
+_REFUSED: Final = """
+VPICTURE VLOCATE VFEATURE VSHOW VTRAIN VDISPLAY  vision is not emulated
+ALTER ALTON ALTOFF  ALTER needs a licensed option
+FORCE.READ FORCE.MODE FORCE.FRAME FORCE.OFFSET  force sensing is not emulated
+FOPEN FOPENR FOPENW FCLOSE FSET  no files are emulated
+EXECUTE ABORT KILL  one task is emulated
+MOVEF MOVESF  they belong to other arms
+DEVICE SETDEVICE DDCMP  no devices are emulated
+"""
+
+
+# Control.
+
+
+def _begin_for(task: Task, variable: Cell, first: float, limit: float, increment: float | None) -> None:
+    loop = Loop(variable, limit, 1.0 if increment is None else increment)
+    if loop.increment == 0.0:
+        raise VplusError("Illegal value", "STEP 0")
+    task.frame.loops[task.step.start] = loop
+    task.jump(not loop.begin_turn(first))
+
+
+def _end(task: Task) -> None:
+    """Go back to the begin of a loop, or on."""
+    loop = task.frame.loops.get(task.step.start)
+    task.jump(loop is None or loop.begin_turn(task.taken("real", loop.variable.value) + loop.increment))  # type: ignore
+
+
+def _choose_case(task: Task, value: Value) -> None:
+    """Go to the first branch that has the value, to ANY, or behind the block."""
+    task.jump()
+    for place in task.step.branches:
+        step = task.frame.program.steps[place]
+        offered = step.instruction.arguments if step.instruction is not None else ()
+        if step.word == "ANY" or value in [task.taken("folded", part) for part in offered if step.word == "VALUE"]:
+            task.frame.place = place + 1
+            return
+
+
+def _return(task: Task) -> None:
+    task.frames.pop()
+
+
+def _stop(task: Task) -> None:
+    task.halted = task.line.word == "HALT"
+    task.frames.clear()
+
+
+def _pause(_: Task) -> None:
+    raise VplusError("Program paused")
+
+
+def _assign(_: Task, value: Value, target: Cell) -> None:
+    if not isinstance(value, float | str):
+        raise VplusError("Illegal assignment", f"{target.name} = a location; accepted: SET {target.name} = ...")
+    target.store(value)
+
+
+# Locations.
+
+
+def _set(task: Task, value: Array | Joints, target: Cell) -> None:
+    """Store a location; a precision point becomes a transformation where the variable is for one."""
+    target.store(value if target.name[0] == "#" else _place(task, value))
+
+
+def _place(task: Task, location: Array | Joints) -> Array:
+    return task.tool_at(task.arm.angles(location)) if isinstance(location, Joints) else location
+
+
+def _here(task: Task, target: Cell) -> None:
+    _set(task, task.arm.joints(task.cell.drive.position()), target)
+
+
+def _joints_here(task: Task, *targets: Cell) -> None:
+    for target, value in zip(targets, task.arm.joints(task.cell.drive.position()), strict=False):
+        target.store(value)
+
+
+def _decompose(task: Task, value: Array | Joints, target: Tree) -> None:
+    """Store the six numbers of a location in an array, from an index on."""
+    for place, number in enumerate(value if isinstance(value, Joints) else six_numbers(value)):
+        task.cell_of(target, place).store(number)
+
+
+def _set_tool(task: Task, tool: Array | None = None) -> Waits:
+    yield from _motion_end(task)
+    task.tool = np.eye(4) if tool is None else tool
+
+
+def _set_base(task: Task, *place: float | None) -> Waits:
+    """Say where the robot stands: x, y, z, and its turn about z."""
+    yield from _motion_end(task)
+    task.base = trans(*place)
+
+
+# Motions.
+
+
+def _motion_end(task: Task) -> Waits:
+    return task.until(lambda: task.queue.at_end, "the end of the motion")
+
+
+def _break(task: Task) -> Waits:
+    """Wait for the end of the motion, and for small position errors."""
+    yield from _motion_end(task)
+    cell = task.cell
+    if task.queue.done and task.queue.done[-1].nulls:
+        latest = cell.time + _NULL_TIME
+        yield from task.until(lambda: cell.settled or cell.time > latest, "small position errors")
+        if not cell.settled:
+            raise VplusError("Time-out nulling errors", f"errors above {task.arm.full.null_tolerance:g} deg")
+
+
+def _issue(task: Task, end: Array, **instead: float) -> Waits:
+    """Plan a motion to joint angles, rad, and wait until it begins."""
+    chosen = {**task.always, **task.next, **instead}
+    task.next = {}
+    motion = _motion(task, end)
+    motion.continuous = chosen["CP"] != 0.0 and "CP" in task.switches
+    motion.nulls = chosen["NULL"] != 0.0
+    if motion.kind in _STRAIGHT:
+        postures = [task.arm.posture(q) for q in (motion.start, end)]
+        if postures[0] != postures[1]:
+            raise VplusError("Straight-line motion can't alter configuration", " to ".join(map(str, postures)))
+        start = task.arm.flange(motion.start) @ task.tool
+        motion.line = Line(start, task.arm.flange(end) @ task.tool, task.tool, postures[0])
+    plan(task.arm, motion, chosen, "SCALE.ACCEL" in task.switches)
+    motion.at_start = task.at_start
+    task.at_start = []
+    if "DRY.RUN" not in task.switches:
+        task.cell.tolerance = chosen["FINE"] / 100.0
+        yield from _give(task, motion)
+
+
+def _motion(task: Task, end: Array) -> Motion:
+    where = f"{task.frame.program.name}:{task.step.line}"
+    return Motion(task.line.word, where, task.queue.destination, end, tool=task.tool)
+
+
+def _give(task: Task, motion: Motion) -> Waits:
+    task.queue.give(motion)
+    task.queue.begin_waiting(task.cell.settled, task.cell.time)
+    return task.until(lambda: task.queue.waiting is not motion, "the motion before")
+
+
+def _move(task: Task, target: Array | Joints, hand: float | None = None) -> Waits:
+    """Move to a location, along a line or not; MOVET and MOVEST open the hand or close it at the start."""
+    if hand is not None:
+        _set_hand(task, "O" if hand > 0.0 else "C")
+    if isinstance(target, Joints):
+        return _issue(task, task.arm.angles(target))
+    return _issue(task, task.solve(target, keep=task.line.word in _STRAIGHT))
+
+
+def _approach(task: Task, target: Array | Joints, distance: float) -> Waits:
+    """Move to a place so far back along the tool's z at a location."""
+    return _move(task, _place(task, target) @ trans(0.0, 0.0, -distance))
+
+
+def _depart(task: Task, distance: float) -> Waits:
+    """Move so far back along the tool's z, from the end of the motion before."""
+    return _approach(task, task.tool_at(task.queue.destination), distance)
+
+
+def _align(task: Task) -> Waits:
+    return _move(task, aligned(task.tool_at(task.queue.destination)))
+
+
+def _drive(task: Task, joint: int, change: float, percent: float) -> Waits:
+    """Move one joint by some degrees, at a percentage of its full speed."""
+    if task.readings.drive_obeys_program_speed:
+        percent *= {**task.always, **task.next}["SPEED"] / 100.0
+    return _issue(task, task.queue.destination + np.radians(change) * (np.arange(1, 7) == joint), SPEED=percent)
+
+
+def _move_joints(task: Task, *values: float | None) -> Waits:
+    """Move to joint values; those that are left out stay."""
+    joints = list(task.arm.joints(task.queue.destination))
+    joints[: len(values)] = [old if new is None else new for old, new in zip(joints, values, strict=False)]
+    return _issue(task, task.arm.angles(Joints(joints)))
+
+
+def _delay(task: Task, seconds: float) -> Waits:
+    """Let the arm stand for some seconds; it is a motion, and the program goes on meanwhile."""
+    motion = _motion(task, task.queue.destination)
+    motion.continuous = False
+    motion.profile = Profile(seconds * task.queue.monitor / 100.0, 1e-3, 1e-3)
+    return _give(task, motion)
+
+
+def _choose(task: Task, **values: float) -> None:
+    """Let values hold for the next motion or, with ALWAYS, for all."""
+    (task.always if "ALWAYS" in task.line.modifiers else task.next).update(values)
+
+
+def _switch_choice(task: Task) -> None:
+    _choose(task, **dict([_SWITCHED[task.line.word]]))
+
+
+def _set_tolerance(task: Task, percent: float = 100.0) -> None:
+    _choose(task, FINE=percent * (1.0 if task.line.word == "FINE" else 10.0))
+
+
+def _set_speed(task: Task, speed: float, rotary: float | None = None) -> None:
+    """Set the program speed, in percent or in mm or inches a second, or the monitor speed."""
+    units = [unit for word, unit in _UNITS.items() if word in task.line.modifiers]
+    if units:
+        speed *= 100.0 * units[0] / task.arm.full.linear_speed
+    percent = task.taken("percent", speed)
+    if "MONITOR" in task.line.modifiers:
+        task.queue.monitor = min(percent, 100.0)
+    else:
+        _choose(task, SPEED=percent, ROTARY=rotary or (task.always["ROTARY"] if units else percent))
+
+
+def _set_ramps(task: Task, *ramps: float | None) -> None:
+    chosen = zip(("UP", "DOWN"), ramps, strict=False)
+    task.always.update({name: value for name, value in chosen if value is not None})
+
+
+def _set_profile(task: Task, profile: float | None, *ramps: float | None) -> None:
+    task.always["SMOOTH"] = profile or 0.0
+    _set_ramps(task, *ramps)
+
+
+def _configure(task: Task) -> None:
+    """Ask for a configuration at the next motion that is no line."""
+    task.wanted |= _CONFIGURATIONS[task.line.word]
+
+
+# Signals and time.
+
+
+def _set_hand(task: Task, state: str = "") -> None:
+    """Set the hand when the next motion begins."""
+    task.at_start.append(partial(task.cell.switch, *_HAND[state or task.line.word[0]]))
+
+
+def _set_hand_now(task: Task) -> Waits:
+    """Set the hand when this motion has ended, and wait."""
+    word = task.line.word
+    yield from _break(task)
+    task.cell.switch(*_HAND[word[0]])
+    yield from _wait_event(task, None, task.hand_time)
+
+
+def _wait_event(task: Task, _: Tree = None, seconds: float = 0.0) -> Waits:
+    latest = task.cell.time + seconds - 1e-9
+    return task.until(lambda: task.cell.time >= latest, "time")
+
+
+def _wait(task: Task, condition: Tree = None) -> Waits:
+    """Wait until an expression is true, or for a beat."""
+    if condition is None:
+        yield "the next beat"
+    else:
+        yield from task.until(lambda: task.taken("real", condition) != 0.0, "WAIT")
+
+
+def _set_bits(task: Task, value: int, first: int, count: int = 1) -> None:
+    task.cell.switch(*(bit + first if value >> bit & 1 else -first - bit for bit in range(min(count, 24))))
+
+
+def _reset(task: Task) -> None:
+    task.cell.switch(*(-signal for signal in task.cell.outputs()))
+
+
+def _set_timer(task: Task, value: float, number: int) -> None:
+    task.timers[number] = task.cell.time - value
+
+
+def _react(task: Task, signal: int, name: str, priority: float = 1.0) -> None:
+    """Call a program when a signal changes; REACTI ends the motion, too."""
+    task.program(name.lower())
+    stops = task.line.word == "REACTI"
+    task.reactions[signal] = Reaction(name, priority, stops, task.cell.is_on(signal))
+
+
+def _react_to_errors(task: Task, name: str = "") -> None:
+    task.on_error = name
+
+
+def _ignore(task: Task, signal: int, _: object = None) -> None:
+    task.reactions.pop(signal, None)
+
+
+def _lock(task: Task, priority: float) -> None:
+    task.lock = priority
+
+
+def _set_switches(task: Task, *names: str) -> None:
+    task.switches = task.switches | set(names) if task.line.word == "ENABLE" else task.switches - set(names)
+
+
+def _set_parameter(task: Task, value: Value, name: str) -> None:
+    """Set a system parameter; HAND.TIME has an effect here."""
+    if name == "HAND.TIME":
+        task.hand_time = task.taken("seconds", value)  # type: ignore[arg-type]  # a value is a tree of its own
+
+
+# Text.
+
+
+def _show(task: Task, *items: Value) -> None:
+    text, ends = written(task, items)
+    task.cell.show(text, task.cell.time, ends)
+
+
+def _ask(task: Task, question: str, *targets: Cell) -> Waits:
+    """Ask for a line, and store the numbers or the text of it."""
+    try:
+        answer = task.cell.ask(question)
+    except EOFError:
+        raise VplusError("Unexpected end of file", f"no line of input for {task.line.word}") from None
+    while answer is None:
+        yield "a line of input"
+        answer = task.cell.ask("")
+    parts = [*answer.split(","), *[""] * len(targets)]
+    for target, part in zip(targets, parts, strict=False):
+        target.store(answer if target.name[0] == "$" else number_of(part))
+
+
+def _attach(task: Task, unit: Tree, *_: object) -> None:
+    """Give a free unit of input and output where a variable stands for it."""
+    if isinstance(unit, Reference):
+        task.cell_of(unit).store(10.0)
+
+
+_KINDS_OF_CONTROL: Final = """
+DO
+IF_THEN WHILE UNTIL  real
+IF_GOTO  real tree
+ELSE ANY GOTO VALUE EXIT NEXT  tree*
+END
+FOR  variable real real real?
+CASE  folded
+CALL CALLS  text tree*
+RETURN RETURNE
+STOP HALT
+PAUSE
+"""
+_KINDS: Final = """
+=  any variable
+AUTO LOCAL GLOBAL  tree*
+SET=  location variable
+HERE  variable
+JHERE  variable variable*
+DECOMPOSE=  location tree
+TOOL  place?
+BASE  real? real? real? real?
+MOVE MOVES  location
+MOVET MOVEST  location real
+APPRO APPROS  location real
+DEPART DEPARTS  real
+ALIGN
+DRIVE  joint real percent
+JMOVE  real? real? real? real? real? real?
+READY
+DELAY  seconds
+BREAK
+BRAKE
+LEFTY RIGHTY ABOVE BELOW FLIP NOFLIP
+CPON CPOFF NULL NONULL
+FINE COARSE  percent?
+SPEED  real percent?
+ACCEL  percent? percent?
+ACCEL()  real? percent? percent?
+DURATION  seconds
+OPEN CLOSE RELAX
+OPENI CLOSEI RELAXI
+SIGNAL  integer integer*
+BITS=  integer integer integer?
+RESET
+WAIT  tree?
+WAIT.EVENT  tree? seconds?
+TIMER=  real integer
+REACT REACTI  integer name real?
+REACTE  name?
+IGNORE  integer any?
+LOCK  real
+ENABLE DISABLE  name name*
+PARAMETER=  any name
+TYPE  any*
+PROMPT  text variable*
+READ()  any variable*
+WRITE()  any any*
+ATTACH()  tree any?
+DETACH() SELECT=  tree*
+ATTACH DETACH MULTIPLE SINGLE OVERLAP NOOVERLAP
+"""
+_ACTIONS: Final[dict[str, Any]] = {
+    "=": _assign,
+    "IF_THEN": lambda task, condition: task.jump(condition == 0.0),
+    "IF_GOTO": lambda task, condition, _: task.jump(condition != 0.0),
+    "ELSE": lambda task, *_: task.jump(),
+    "END": _end,
+    "FOR": _begin_for,
+    "CASE": _choose_case,
+    "CALL": Task.call,
+    "RETURN": _return,
+    "STOP": _stop,
+    "PAUSE": _pause,
+    "SET=": _set,
+    "HERE": _here,
+    "JHERE": _joints_here,
+    "DECOMPOSE=": _decompose,
+    "TOOL": _set_tool,
+    "BASE": _set_base,
+    "MOVE": _move,
+    "MOVET": _move,
+    "APPRO": _approach,
+    "DEPART": _depart,
+    "ALIGN": _align,
+    "DRIVE": _drive,
+    "JMOVE": _move_joints,
+    "READY": lambda task: _issue(task, task.arm.ready),
+    "DELAY": _delay,
+    "BREAK": _break,
+    "BRAKE": lambda task: task.queue.stop(),
+    "LEFTY": _configure,
+    "CPON": _switch_choice,
+    "FINE": _set_tolerance,
+    "SPEED": _set_speed,
+    "ACCEL": _set_ramps,
+    "ACCEL()": _set_profile,
+    "DURATION": lambda task, seconds: _choose(task, DURATION=seconds),
+    "OPEN": _set_hand,
+    "OPENI": _set_hand_now,
+    "SIGNAL": lambda task, *signals: task.cell.switch(*signals),
+    "BITS=": _set_bits,
+    "RESET": _reset,
+    "WAIT": _wait,
+    "WAIT.EVENT": _wait_event,
+    "TIMER=": _set_timer,
+    "REACT": _react,
+    "REACTE": _react_to_errors,
+    "IGNORE": _ignore,
+    "LOCK": _lock,
+    "ENABLE": _set_switches,
+    "PARAMETER=": _set_parameter,
+    "TYPE": _show,
+    "PROMPT": _ask,
+    "READ()": lambda task, _, *targets: _ask(task, "", *targets),
+    "WRITE()": lambda task, _, *items: _show(task, *items),
+    "ATTACH()": _attach,
+}
+CONTROL: Final = entries(_KINDS_OF_CONTROL, _ACTIONS, of_task=True)
+INSTRUCTIONS: Final = CONTROL | entries(_KINDS, _ACTIONS, of_task=True)
+REFUSED: Final = {word: " ".join(entry.kinds) for word, entry in entries(_REFUSED, {}, of_task=True).items()}
+"""Instructions that are not there, and why."""

@@ -1,0 +1,113 @@
+"""The path error in a bag: that of the run, across the path of the set-points, of one arm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_making import joint_state, write_ros2
+from pinocchio_chain import tip_place
+
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.reading import read_joint_states
+from rx90_common.bags.writing import write_joint_states
+from rx90_common.base.errors import BagError
+from rx90_common.description.robot_files import RobotFiles
+from rx90_controller.lines.task import load_task
+from rx90_emulator.cli.frame import run
+from rx90_emulator.loop.line import path_accuracy
+from rx90_emulator.loop.setup import Setup
+from rx90_emulator.measured_runs.recorded_path import recorded_accuracy
+
+REFERENCE = Path(__file__).resolve().parents[2] / "reference" / "reference_task"
+JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
+MOTORS = [f"motor_{k}" for k in range(1, 7)]
+STEP = 1_000_000
+SETPOINTS = "/rx90_controller/reference"
+
+
+def test_it_is_that_of_the_run(shipped: Setup, capsys: pytest.CaptureFixture[str]) -> None:
+    """Across and along the line, and of the tool: as for the same states; `rx90 bag compare` says it in words."""
+    found = recorded_accuracy(REFERENCE, shipped.robot, RobotFiles())
+    assert found is not None
+    states = read_joint_states(REFERENCE, "joint_states", JOINTS)
+    assert states.position is not None
+    expected = path_accuracy(shipped.robot, load_task(), states.time, states.position)
+    assert found.worst == pytest.approx(expected.worst, rel=1e-6)
+    assert found.worst_along_track == pytest.approx(expected.worst_along_track, rel=1e-5)
+    assert found.worst_orientation == pytest.approx(expected.worst_orientation, rel=1e-5)
+    assert run("rx90 bag", ["path", str(REFERENCE), str(REFERENCE)]) == 0
+    assert capsys.readouterr().out.splitlines() == [f"{REFERENCE}: {expected.words}"] * 2
+
+
+def arc() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return stamps, ms, set-points of an arc about the base between two rests, and an arm that is 2 ms late, rad."""
+    stamps = np.arange(600)
+    time = stamps * 1e-3
+    target = np.zeros((600, 6))
+    target[:, 0] = 0.5 * np.clip(time, 0.05, 0.3)
+    target[:, 1:] = [0.3, 1.2, 0.1, 0.4, 0.2]
+    arm = target.copy()
+    arm[:, 0] = np.minimum(arm[:, 0], 0.5 * np.clip(time - 0.002, 0.05, 0.298))  # and never quite there
+    return stamps, target, arm
+
+
+def test_it_is_the_distance_across_the_path(shipped: Setup, tmp_path: Path) -> None:
+    """What lags behind is no path error; nothing counts before the motion, 0.2 s after it, and without set-points."""
+    stamps, target, arm = arc()
+    for row in (20, 150, 350, 510):
+        arm[row, 1] += 1e-3
+    asked = np.r_[0:200, 210:600]
+    series = [
+        JointSeries("/joint_states", JOINTS, stamps * STEP, arm),
+        JointSeries(SETPOINTS, JOINTS, asked * STEP, target[asked]),
+    ]
+    write_joint_states(tmp_path / "bag", series)
+    found = recorded_accuracy(tmp_path / "bag", shipped.robot, RobotFiles())
+    assert found is not None
+    counted = np.rint(found.times * 1e3).astype(int)
+    np.testing.assert_array_equal(counted, np.r_[50:200, 210:501])
+    lag = np.linalg.norm(tip_place(shipped.robot, arm[100]) - tip_place(shipped.robot, target[100]))
+    error = dict(zip(counted.tolist(), found.perpendicular.tolist(), strict=True))
+    for row in (150, 350):
+        off = tip_place(shipped.robot, arm[row]) - tip_place(shipped.robot, target[row])
+        tangent = np.cross([0.0, 0.0, 1.0], tip_place(shipped.robot, target[row]))
+        across = off - (off @ tangent) * tangent / (tangent @ tangent)
+        assert error.pop(row) == pytest.approx(np.linalg.norm(across), rel=5e-3)
+    near = [far for row, far in error.items() if not 190 < row < 220]  # a chord leads across the gap of the set-points
+    assert max(near) < lag**2  # of an arc with a radius of some 0.7 m
+
+
+def test_joints_are_found_in_a_namespace_and_behind_gears(shipped: Setup, tmp_path: Path) -> None:
+    """In any order and company, after a reset, and from the motors' states, motor 6 with joints 5 and 6."""
+    stamps, target, arm = arc()
+    motors = shipped.drives.gear * np.column_stack([arm[:, :5], arm[:, 4] + arm[:, 5]])
+    order = [*JOINTS[::-1], "rail"]
+    of_joints = [("/cell/joint_states", 0, joint_state(10**12, order, [0.0] * 7))]  # before the reset
+    of_motors = []
+    for k in stamps.tolist():
+        time = k * STEP
+        of_joints.append(("/cell/joint_states", time, joint_state(time, order, [*arm[k, ::-1], 7.0])))
+        of_joints.append(("/cell/sampled/joint_states", time, joint_state(time, JOINTS, [0.0] * 6)))
+        of_joints.append((f"/cell{SETPOINTS}", time, joint_state(time, JOINTS, target[k])))
+        of_motors.append(("/motor_states", time, joint_state(time, MOTORS, motors[k])))
+        of_motors.append((SETPOINTS, time, joint_state(time, JOINTS, target[k])))
+    errors = []
+    for name, messages in (("joints", of_joints), ("motors", of_motors)):
+        found = recorded_accuracy(write_ros2(tmp_path / name, messages), shipped.robot, RobotFiles())
+        assert found is not None
+        errors.append(found.perpendicular)
+    assert len(errors[0]) == 451
+    np.testing.assert_allclose(errors[0], errors[1], atol=1e-12)
+
+
+def test_what_has_none_is_said_and_what_is_another_arm_refused(shipped: Setup, tx40: Setup, tmp_path: Path) -> None:
+    """No set-points: None. Two arms, another robot's bag: a line with what is accepted."""
+    states = [("/joint_states", k, joint_state(k * STEP, JOINTS, [0.1] * 6)) for k in range(3)]
+    assert recorded_accuracy(write_ros2(tmp_path / "none", states), shipped.robot, RobotFiles()) is None
+    two = [(f"/{arm}/joint_states", k, message) for arm in "ab" for _, k, message in states]
+    with pytest.raises(BagError, match="holds several arms, /a/joint_states, /b/joint_states; accepted: a bag of one"):
+        recorded_accuracy(write_ros2(tmp_path / "two", two), shipped.robot, RobotFiles())
+    with pytest.raises(BagError, match=r"recorded of the robot 'rx90b'.*--robot"):
+        recorded_accuracy(REFERENCE, tx40.robot, RobotFiles.named("tx40"))
