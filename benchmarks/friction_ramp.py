@@ -50,7 +50,6 @@ END_TORQUE = 0.178
 TOP_SPEED = 230.0
 LEAST_LENGTH = 14.0
 """Time constants that the faster ramp must last after break-away; shorter ones are refused by design."""
-METHODS = ("exact", "repeated")
 QUANTITIES = ("coulomb", "viscous")
 COVERAGE = (0.90, 0.99)
 BIAS = 0.01
@@ -94,10 +93,10 @@ class Cell:
 
 
 class GridOutcome(NamedTuple):
-    """What one experiment gave: by method and quantity the relative error and whether the interval held the truth."""
+    """What one experiment gave: by quantity the relative error and whether the interval held the truth."""
 
-    errors: dict[tuple[str, str], float]
-    hits: dict[tuple[str, str], bool]
+    errors: dict[str, float]
+    hits: dict[str, bool]
     excess: float
     """The source's f_c less the truth, Nm."""
     inertia_times_a: float
@@ -121,12 +120,11 @@ def grid_experiment(job: tuple[Cell, int]) -> GridOutcome:
     ]
     found = identify_ramps(records, rig.torque.scale_uncertainty)
     errors, hits = {}, {}
-    for method, quantity in product(METHODS, QUANTITIES):
-        estimate = getattr(getattr(found, method), quantity)
+    for quantity in QUANTITIES:
+        estimate = getattr(found.exact, quantity)
         truth = getattr(cell, quantity)
-        errors[method, quantity] = estimate.value / truth - 1.0
-        hits[method, quantity] = estimate.low <= truth <= estimate.high
-    assert found.source is not None  # `long_enough` sees to it
+        errors[quantity] = estimate.value / truth - 1.0
+        hits[quantity] = estimate.low <= truth <= estimate.high
     expected = np.mean([cell.inertia * record.slope / cell.viscous for record in records])
     return GridOutcome(errors, hits, found.source.coulomb.value - cell.coulomb, float(expected))
 
@@ -271,8 +269,7 @@ def random_experiment(job: tuple[int, int, str]) -> Outcome:
     for name, part in result.parts:
         outcome.unused += len(part.unused)
         note_all(name, part.best, truths[name])
-        if part.source is not None:
-            note_all(f"{name}, source's m b / a", part.source, truths[name])
+        note_all(f"{name}, source's m b / a", part.source, truths[name])
     outcome.refusal = "; ".join(result.failures)
     if result.joint is not None:
         joint = truths["loaded"] - truths["no-load"]
@@ -302,13 +299,13 @@ def measure_grid() -> tuple[list[str], bool]:
     cells, results = [*by_cell], [*by_cell.values()]
     print(f"{len(outcomes)} experiments: {len(cells)} rigs, {SEEDS} seeds, {REPEATS} repeats at 2 slopes")
     rows, wrong = [], []
-    for method, quantity in product(METHODS, QUANTITIES):
-        bias = np.array([np.mean([o.errors[method, quantity] for o in cell]) for cell in results])
-        share, cover = _covered([o.hits[method, quantity] for o in outcomes])
+    for quantity in QUANTITIES:
+        bias = np.array([np.mean([o.errors[quantity] for o in cell]) for cell in results])
+        share, cover = _covered([o.hits[quantity] for o in outcomes])
         worst = float(np.abs(bias).max())
-        rows.append((f"{quantity}, {method}", f"{100 * bias.mean():+.3f} %", f"{100 * worst:.2f} %", cover))
+        rows.append((quantity, f"{100 * bias.mean():+.3f} %", f"{100 * worst:.2f} %", cover))
         if worst >= BIAS or not COVERAGE[0] <= share <= COVERAGE[1]:
-            wrong.append(f"{quantity}, {method}")
+            wrong.append(quantity)
     print_table(("estimate", "mean bias", "worst rig's bias (< 1 %)", "coverage (90 to 99 %)"), rows)
     expected = np.array([np.mean([o.inertia_times_a for o in cell]) for cell in results])
     ratio = np.array([np.mean([o.excess for o in cell]) for cell in results]) / expected

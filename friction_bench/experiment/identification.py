@@ -1,9 +1,8 @@
-"""From ramps to friction: the source's formulas, the exact fit, their uncertainties, and the joint's own friction.
+"""From ramps to friction: one fit of all ramps of a load, the source's formulas, and the joint's own friction.
 
-The source's method, for each ramp with a visible asymptote a t - b: f_v = m / a and f_c = m b / a, which is biased high
-by J a. The exact f_c = m b / a - J a needs J, which needs two slopes; it comes from all ramps in one fit
-(`sliding_fit`), which uses each ramp from the beginning of sliding. A ramp that cannot be used is left out, and the
-result gives the reason.
+The source's method: the velocity's asymptote a t - b gives f_v = m / a and f_c = m b / a, which is high by J a. The
+exact f_c = m b / a - J a needs J, which needs two slopes. Both come from the same fit (`sliding_fit`), which uses each
+ramp from the beginning of sliding. A ramp that cannot be used is left out, and the result gives the reason.
 """
 
 from __future__ import annotations
@@ -14,22 +13,20 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy import stats
+from scipy.stats import norm
 
-from friction_bench.experiment.asymptote import RampFit, ShortRampError, fit_asymptote
 from friction_bench.experiment.four_way import FourWay, compare
 from friction_bench.experiment.record import RampModel, RampRecord, break_away, sliding_window
-from friction_bench.experiment.sliding_fit import RampsFit, fit_sliding
+from friction_bench.experiment.sliding_fit import find_bends, fit_sliding
 from friction_bench.rig.plant import shaft_of
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import VERDICT_NO, IdentificationError
-from rx90_common.base.quoting import counted
+from rx90_common.estimation.choose import Trial
 
 LEVEL = 0.95
-SLOPE_TOLERANCE = 0.02
-"""Slopes closer than this, relative, are one slope."""
+POORLY_KNOWN = 0.25
+"""Standard uncertainty of f_v, relative, from which ramps of one slope are refused."""
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -58,25 +55,21 @@ class IntervalEstimate(NamedTuple):
 class RampFriction:
     """Coulomb friction f_c, Nm, viscous friction f_v, Nm s/rad, inertia J, kg m², at the motor.
 
-    `inertia` is None where one slope alone was run. The covariance is that of random errors, without the torque
-    scale's: `covariance` in the order f_c, f_v (and J), `freedom` the degrees of freedom of its diagonal.
+    `inertia` is None where one slope alone was run. `covariance`, in the order f_c, f_v (and J), is that of random
+    errors, without the torque scale's.
     """
 
     coulomb: IntervalEstimate
     viscous: IntervalEstimate
     inertia: IntervalEstimate | None
     covariance: Array
-    freedom: Array
 
     @classmethod
-    def of(cls, values: Array, covariance: Array, scale: float, freedom: ArrayLike = math.inf) -> RampFriction:
+    def of(cls, values: Array, covariance: Array, scale: float) -> RampFriction:
         """Return the friction with intervals, for a relative uncertainty of the torque scale."""
-        errors = np.sqrt(np.diag(covariance))
-        freedoms = np.broadcast_to(np.asarray(freedom, float), values.shape)
-        coulomb, viscous, *inertia = (
-            interval(float(v), float(e), float(f), scale) for v, e, f in zip(values, errors, freedoms, strict=True)
-        )
-        return cls(coulomb, viscous, inertia[0] if inertia else None, covariance, freedoms)
+        errors = np.sqrt(np.diag(covariance)).tolist()
+        estimates = [interval(value, error, scale) for value, error in zip(values.tolist(), errors, strict=True)]
+        return cls(estimates[0], estimates[1], estimates[2] if len(estimates) > 2 else None, covariance)
 
 
 @dataclass(frozen=True)
@@ -86,14 +79,14 @@ class UsedRamp:
     Attributes:
         break_away: time of break-away, s.
         time, velocity: times of the fit, s, and the fitted velocity, rad/s, shape (n,).
-        asymptote: by the source's method; None if the ramp is too short for it.
+        asymptote: a, rad/s², and b, rad/s, of this ramp.
     """
 
     record: RampRecord
     break_away: float
     time: Array
     velocity: Array
-    asymptote: RampFit | None
+    asymptote: tuple[float, float]
 
     @property
     def slope(self) -> float:
@@ -106,44 +99,30 @@ class RampIdentification:
     """Friction and inertia identified from a set of ramps under one load.
 
     Attributes:
-        source: the source's f_c = m b / a and f_v = m / a, mean over the ramps long enough for it; None without any.
-        exact: fit of all ramps, intervals from its covariance, which contains the differences from ramp to ramp; None
-            with one slope.
-        repeated: from each repeat alone, intervals from their scatter, for comparison; None with fewer than 2 repeats.
-        consistency: p-value of the chi-square test that the ramps differ only by torque noise and counts.
-        spread: standard deviations from ramp to ramp of the torque's scale and of f_c, relative, shape (2,); None with
-            one slope.
-        stribeck: probability that the friction falls with the velocity after break-away; None with one slope.
+        source: the source's f_c = m b / a and f_v = m / a of the fitted asymptotes, mean over the ramps.
+        exact: f_c without J a, f_v and J; None with one slope.
+        spread: standard deviations from ramp to ramp of the torque's scale and of f_c, relative, shape (2,).
+        effect: what a Stribeck effect after break-away explains.
         unused: the reason for each ramp that could not be used, one line each.
     """
 
     ramps: tuple[UsedRamp, ...]
-    source: RampFriction | None
+    source: RampFriction
     exact: RampFriction | None
-    repeated: RampFriction | None
-    consistency: float
-    spread: Array | None
-    stribeck: float | None
+    spread: Array
+    effect: Trial
     unused: tuple[str, ...]
 
     @property
     def best(self) -> RampFriction:
         """Return the exact estimate, else the source's."""
-        found = self.exact or self.source
-        assert found is not None  # one of them there is: identify_ramps refuses otherwise
-        return found
+        return self.exact or self.source
 
 
-def interval(value: float, random: float, freedom: float, scale: float) -> IntervalEstimate:
-    """Return an estimate from its random error and the torque scale's relative uncertainty.
-
-    The two are independent; the degrees of freedom are combined after Welch and Satterthwaite.
-    """
-    systematic = abs(value) * scale
-    total = math.hypot(random, systematic)
-    effective = freedom if random == 0.0 else freedom * (total / random) ** 4
-    share = (1 + LEVEL) / 2
-    reach = total * float(stats.t.ppf(share, effective) if effective < 1e6 else stats.norm.ppf(share))
+def interval(value: float, random: float, scale: float) -> IntervalEstimate:
+    """Return an estimate from its random error and the torque scale's relative uncertainty, which are independent."""
+    total = math.hypot(random, value * scale)
+    reach = total * float(norm.ppf((1 + LEVEL) / 2))
     return IntervalEstimate(value, total, value - reach, value + reach)
 
 
@@ -153,12 +132,8 @@ def source_formulas(a: float, b: float, m: float) -> tuple[float, float]:
 
 
 def slopes_of(ramps: Iterable[RampRecord | UsedRamp]) -> list[float]:
-    """Return the slopes of some ramps that differ by more than SLOPE_TOLERANCE, ascending."""
-    distinct: list[float] = []
-    for slope in sorted(ramp.slope for ramp in ramps):
-        if not distinct or slope > distinct[-1] * (1 + SLOPE_TOLERANCE):
-            distinct.append(slope)
-    return distinct
+    """Return the different slopes of some ramps, ascending."""
+    return sorted({ramp.slope for ramp in ramps})
 
 
 def _usable(
@@ -184,104 +159,46 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
         records: at least one ramp.
         scale_uncertainty: relative standard uncertainty of the torque scale, common to all ramps.
     """
-    records, windows, unused = _usable(records, sliding_window)
-    if len(slopes_of(records)) == 1:
-        return _one_slope(records, scale_uncertainty, unused)
-    while len(slopes_of(records)) > 1:
-        fit = fit_sliding(windows)
-        coulomb, viscous, inertia = fit.values.tolist()
-        T = max(inertia / viscous, records[0].tick / 4)
-        straight, asymptotes, unfitted = _usable(windows, lambda window, T=T: _asymptote(window.record, T))  # type: ignore[misc]
-        unused += unfitted
-        if not unfitted:
-            break
-        windows = straight
-        records = [window.record for window in straight]
-    else:
-        raise _no_ramp_left(unused)
-    if not (viscous > 0.0 and inertia > 0.0):
+    _, windows, unused = _usable(records, sliding_window)
+    bends = find_bends(windows) if windows else []
+    unused += [_bent(window.record, bend) for window, bend in zip(windows, bends, strict=True) if bend]
+    windows = [window for window, bend in zip(windows, bends, strict=True) if not bend]
+    if not windows:
+        raise unused[0]
+    fit = fit_sliding(windows)
+    one_slope = len(slopes_of(window.record for window in windows)) == 1
+    _, viscous, inertia = fit.values.tolist()
+    error = math.sqrt(fit.covariance[1, 1])
+    if one_slope and not error < POORLY_KNOWN * viscous:
+        raise IdentificationError(
+            f"{windows[0].record.label}: the ramp is too short, its viscous friction is {viscous:.3g} ± {error:.2g} "
+            "Nm s/rad (standard uncertainty); take a slower ramp or a higher end torque"
+        )
+    if viscous <= 0.0:
         raise UnphysicalError(
-            f"the ramps give a viscous friction of {viscous:.3g} Nm s/rad and an inertia of {inertia:.3g} kg m²; "
+            f"the ramps give a viscous friction of {viscous:.3g} Nm s/rad; "
             "accepted: > 0, by more repeats, or slopes farther apart"
         )
     ramps = []
-    for window, velocity, asymptote in zip(windows, fit.velocities, asymptotes, strict=True):
-        start = break_away(window.record, RampModel(coulomb, viscous, inertia, window.record.slope))
+    for window, velocity, asymptote in zip(windows, fit.velocities, fit.asymptotes, strict=True):
+        start = break_away(window.record, asymptote, None if one_slope else inertia / viscous)
         ramps.append(UsedRamp(window.record, start, window.time, velocity, asymptote))
+    mean_slope = float(np.mean([ramp.slope for ramp in ramps]))
     return RampIdentification(
         ramps=tuple(ramps),
-        source=_by_source(ramps, scale_uncertainty),
-        exact=RampFriction.of(fit.values, fit.covariance, scale_uncertainty, fit.freedom),
-        repeated=_by_repeats(fit, ramps, scale_uncertainty),
-        consistency=float(stats.chi2.sf(*fit.chi_square())),
+        source=RampFriction.of(*fit.at_slope(mean_slope), scale_uncertainty),
+        exact=None if one_slope else RampFriction.of(fit.values, fit.covariance, scale_uncertainty),
         spread=fit.spread,
-        stribeck=fit.stribeck,
+        effect=fit.effect,
         unused=tuple(map(str, unused)),
     )
 
 
-def _no_ramp_left(reasons: Sequence[IdentificationError]) -> IdentificationError:
-    more = f" (and {counted(len(reasons) - 1, 'more ramp')} that cannot be used)" if len(reasons) > 1 else ""
-    return IdentificationError(f"{reasons[0]}{more}" if reasons else "no ramp to identify from")
-
-
-def _one_slope(
-    records: Sequence[RampRecord], scale: float, unused: Sequence[IdentificationError]
-) -> RampIdentification:
-    """Identify by the source's method alone: with one slope J is unknown."""
-    used, fits, reasons = _usable(records, fit_asymptote)
-    if not used:
-        raise _no_ramp_left([*unused, *reasons])
-    ramps = []
-    for record, fit in zip(used, fits, strict=True):
-        time = record.time - record.origin
-        time = time[time >= fit.window[0]]
-        ramps.append(UsedRamp(record, fit.break_away, time, fit.a * time - fit.b, fit))
-    why = tuple(map(str, (*unused, *reasons)))
-    return RampIdentification(tuple(ramps), _by_source(ramps, scale), None, None, 1.0, None, None, why)
-
-
-def _asymptote(record: RampRecord, T: float) -> RampFit | None:
-    """Return the asymptote by the source's method, with T of all ramps; None if the ramp is too short for it."""
-    try:
-        return fit_asymptote(record, T)
-    except ShortRampError:
-        return None
-
-
-def _by_source(ramps: Sequence[UsedRamp], scale: float) -> RampFriction | None:
-    """Return the source's f_c = m b / a and f_v = m / a (equations 4 and 5), mean over the ramps with an asymptote.
-
-    The covariance of several ramps of one slope is that of their scatter, which contains the differences from ramp to
-    ramp;
-    otherwise it is that of their fits, because ramps of other slopes also differ by J a.
-    """
-    fits = [(ramp.slope, ramp.asymptote) for ramp in ramps if ramp.asymptote is not None]
-    if not fits:
-        return None
-    values = np.array([source_formulas(fit.a, fit.b, m) for m, fit in fits])
-    if len(fits) > 1 and len(slopes_of(ramps)) == 1:
-        return RampFriction.of(values.mean(axis=0), np.cov(values.T) / len(fits), scale, len(fits) - 1)
-    covariance = np.zeros((2, 2))
-    for m, fit in fits:
-        to_friction = m * np.array([[-fit.b / fit.a**2, 1 / fit.a], [-1 / fit.a**2, 0.0]])
-        covariance += to_friction @ fit.covariance @ to_friction.T / len(fits) ** 2
-    return RampFriction.of(values.mean(axis=0), covariance, scale)
-
-
-def _by_repeats(fit: RampsFit, ramps: Sequence[UsedRamp], scale: float) -> RampFriction | None:
-    """Identify each repeat by itself and take the intervals from their scatter, without a model of the noise.
-
-    A slope that was run once, as the first ramp of a measurement may be, belongs to no repeat.
-    """
-    groups: dict[float, list[int]] = {slope: [] for slope in slopes_of(ramps)}
-    for k, ramp in enumerate(ramps):
-        groups[min(groups, key=lambda slope: abs(slope - ramp.slope))].append(k)
-    repeated = [group for group in groups.values() if len(group) > 1]
-    if len(repeated) < 2:
-        return None
-    values = np.array([fit.subset(chosen) for chosen in zip(*repeated, strict=False)])
-    return RampFriction.of(values.mean(axis=0), np.cov(values.T) / len(values), scale, len(values) - 1)
+def _bent(record: RampRecord, slopes: tuple[float, float]) -> IdentificationError:
+    return IdentificationError(
+        f"{record.label}: the velocity follows no straight asymptote, its slope goes from "
+        f"{slopes[0]:.4g} to {slopes[1]:.4g} rad/s²; saturation, or a transient that is not over"
+    )
 
 
 class JointFrictionEstimate(NamedTuple):
@@ -304,15 +221,12 @@ def difference(
         scale: relative standard uncertainty of the conversion of torques, which scales the difference and counts once.
         factors: conversion factors of f_c and f_v.
     """
-    found = []
+    estimates = []
     for index, factor in enumerate(factors):
         value = (high.coulomb, high.viscous)[index].value - (low.coulomb, low.viscous)[index].value
-        variances = high.covariance[index, index], low.covariance[index, index]
-        random = math.sqrt(sum(variances))
-        shares = variances[0] ** 2 / high.freedom[index] + variances[1] ** 2 / low.freedom[index]
-        freedom = float(sum(variances)) ** 2 / shares if shares > 0.0 else math.inf
-        found.append(interval(value * factor, random * factor, freedom, scale))
-    return found[0], found[1]
+        random = math.sqrt(high.covariance[index, index] + low.covariance[index, index])
+        estimates.append(interval(value * factor, random * factor, scale))
+    return estimates[0], estimates[1]
 
 
 def joint_friction(unloaded: RampIdentification, loaded: RampIdentification, rig: Rig) -> JointFrictionEstimate:
@@ -419,19 +333,18 @@ class RampTestResult:
     def unphysical(self) -> tuple[str, ...]:
         """Return the invalid values among the joint's estimates, or those of the only load: value, cause and remedy."""
         of = "the joint's" if self.joint is not None else f"the {self.parts[0][0]}"
-        single = [name for name, part in self.parts if part.exact is None]
+        remedy = "the difference of the loads is below what they tell; run more repeats, or more load"
+        single = " and ".join(name for name, part in self.parts if part.exact is None)
         if single:
             remedy = (
-                f"{' and '.join(single)} had one slope: f_c contains J a, whose size is unknown, and a single ramp "
-                "does not show what differs from ramp to ramp; run two slopes, and each several times"
+                f"{single} had one slope: f_c contains J a, whose size is unknown; "
+                "run two slopes, and each several times"
             )
-        else:
-            remedy = "the difference of the loads is below what they tell; run more repeats, or more load"
         quantities = zip(("Coulomb", "viscous"), self.written, ("Nm", "Nm s/rad"), strict=True)
         return tuple(
-            f"{of} {name} friction is {one} {unit}; accepted: > 0. {remedy}"
-            for name, one, unit in quantities
-            if one.value <= 0.0
+            f"{of} {name} friction is {estimate} {unit}; accepted: > 0. {remedy}"
+            for name, estimate, unit in quantities
+            if estimate.value <= 0.0
         )
 
 
@@ -448,7 +361,7 @@ def evaluate(records: Sequence[RampRecord], rig: Rig, as_source: bool = False) -
         [name for name in loads if loads[name]], lambda name: identify_ramps(loads[name], rig.torque.scale_uncertainty)
     )
     if not parts:
-        raise refusals[0] if refusals else IdentificationError("no ramp to identify from")
+        raise refusals[0]
     joint = joint_friction(parts[0], parts[1], rig) if len(parts) == 2 else None
     comparison = _compare_models(parts[-1], rig)
     by_source = evaluate_as_source(loads) if as_source else None

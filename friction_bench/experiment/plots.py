@@ -9,11 +9,7 @@ import numpy as np
 from bokeh.plotting import figure
 
 from friction_bench.experiment.four_way import EXPERIMENT, FourWay, measured_velocity
-from friction_bench.experiment.identification import (
-    SLOPE_TOLERANCE,
-    RampIdentification,
-    slopes_of,
-)
+from friction_bench.experiment.identification import RampIdentification, slopes_of
 from rx90_common.report.charts import chart, over_one_x
 from rx90_common.report.style import COLOURS, GREY, INK
 
@@ -26,7 +22,7 @@ def velocities(part: RampIdentification) -> list[figure]:
     figures = []
     deviations = chart("all ramps from where the shaft slides, one colour a slope", _TIME, "less fit, rad/s")
     for j, slope in enumerate(slopes_of(part.ramps)):
-        ramps = [ramp for ramp in part.ramps if abs(ramp.slope - slope) <= SLOPE_TOLERANCE * slope]
+        ramps = [ramp for ramp in part.ramps if ramp.slope == slope]
         title = f"m = {slope:.4g} Nm/s, {len(ramps)} {'ramp' if len(ramps) == 1 else 'repeats'}"
         shown = chart(title, _TIME, "motor velocity, rad/s")
         for k, ramp in enumerate(ramps):
@@ -47,7 +43,7 @@ def loads(parts: Mapping[str, RampIdentification]) -> figure:
     shown = chart("", "motor torque m t, Nm", "motor velocity, rad/s", height=240)
     for k, (name, part) in enumerate(parts.items()):
         for j, slope in enumerate(slopes_of(part.ramps)):
-            ramp = min(part.ramps, key=lambda ramp: abs(ramp.slope - slope))
+            ramp = next(ramp for ramp in part.ramps if ramp.slope == slope)
             time, velocity = measured_velocity(ramp.record)
             shown.line(
                 time * ramp.slope,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple, NoReturn
@@ -283,33 +283,34 @@ def sliding_window(record: RampRecord) -> SlidingWindow:
     return SlidingWindow(record, time[first:], angle[first:], torque[first:])
 
 
-def break_away(record: RampRecord, model: RampModel) -> float:
+def break_away(record: RampRecord, asymptote: tuple[float, float], T: float | None) -> float:
     """Return the time of break-away, s, from a fit of a release's closed form to the first readings of the motion.
 
     Args:
         record: the ramp.
-        model: with the identified friction and inertia; the friction is assumed to fall to f_c at once.
+        asymptote: a, rad/s², and b, rad/s, of its velocity a t - b.
+        T: time constant, s; the friction is assumed to fall to f_c = m (b / a - T) at once. None where it is not known:
+            the friction is assumed not to fall.
     """
-    time, angle, first = first_motion(record)
-    latest = float(time[first])
-    earliest = min(max(model.coulomb / model.slope, latest - EARLIER_TICKS * record.tick), latest - record.tick)
-    onset = slice(max(first - 2, 0), first + ONSET_TICKS)
-    return fit_break_away(
-        time[onset],
-        angle[onset],
-        (earliest, latest),
-        lambda moment: replace(model, release=moment * model.slope - model.coulomb),
-    )
-
-
-def fit_break_away(
-    time: Array, angle: Array, bounds: tuple[float, float], model: Callable[[float], RampModel]
-) -> float:
-    """Return the moment of break-away, s, within bounds, whose model is nearest to angles, rad, at times, s."""
     from scipy.optimize import minimize_scalar  # here, because --help of the command must not wait for it
 
-    found = minimize_scalar(lambda m: np.sum((model(m).angle(time) - angle) ** 2), bounds=bounds, method="bounded")
-    return float(found.x)
+    time, angle, first = first_motion(record)
+    a, b = asymptote
+    latest = float(time[first])
+    earliest = latest - EARLIER_TICKS * record.tick
+    if T is None:
+        latest = min(latest, b / a - 1e-3 * record.tick)
+    else:
+        earliest = min(max(b / a - T, earliest), latest - record.tick)
+    onset = slice(max(first - 2, 0), first + ONSET_TICKS)
+
+    def misfit(moment: float) -> float:
+        released = RampModel(moment * a, 1.0, b / a - moment, a)
+        if T is not None:
+            released = RampModel(b - a * T, 1.0, T, a, (moment + T) * a - b)
+        return float(np.sum((released.angle(time[onset]) - angle[onset]) ** 2))
+
+    return float(minimize_scalar(misfit, bounds=(min(earliest, latest), latest), method="bounded").x)
 
 
 def _stays_beyond(angle: Array, threshold: float) -> int:

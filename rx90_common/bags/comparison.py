@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
 from rx90_common.bags.mapping import LogMapping
-from rx90_common.bags.reading import BagReader, JointBag
+from rx90_common.bags.reading import JointBag, read_joint_bag
 from rx90_common.bags.recorded import START, TRAJECTORY, time_shift
 from rx90_common.bags.tolerance import Tolerances
 from rx90_common.base.arrays import Array
@@ -181,8 +181,8 @@ def compare_bags(
     tolerances = tolerances or Tolerances()
     scope = scope or Scope()
     check_type(tolerances=(tolerances, Tolerances), scope=(scope, Scope))
-    first = _read(path_a, scope, mapping)
-    second = _read(path_b, scope, mapping)
+    first = read_joint_bag(path_a, scope.topics, mapping=mapping, all_there=True)
+    second = read_joint_bag(path_b, scope.topics, mapping=mapping, all_there=True)
     shift = time_shift(scope.align, first, second)
     second = second.moved(shift)
     topics = sorted({*first.series, *second.series})
@@ -201,11 +201,6 @@ def compare_bags(
         raise BagError(f"neither {plain(first.path)} nor {plain(second.path)} has a JointState message in the window")
     others = {topic.name for topic in (*first.topics, *second.topics) if not topic.is_joint_state}
     return BagComparison(first.path, second.path, tuple(results), tuple(sorted(others)), shift)
-
-
-def _read(path: Path | str, scope: Scope, mapping: LogMapping | None) -> JointBag:
-    with BagReader(path, mapping) as bag:
-        return bag.joint_states(bag.joint_topics(scope.topics))
 
 
 def _part(bag: JointBag, topic: str, scope: Scope) -> JointSeries | None:

@@ -21,7 +21,7 @@ from rx90_common.bags.joint_messages import SeriesBuilder
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.limits import ZSTD_MAGIC, DamagedError, library_errors, unpack_message
 from rx90_common.bags.mapping import LogMapping, is_table
-from rx90_common.bags.storage import ACCEPTED, KINDS, BagTopic, StorageReader, open_storage, topic_of
+from rx90_common.bags.storage import ACCEPTED, BagTopic, StorageReader, open_storage, topic_of
 from rx90_common.bags.topics import EFFORT_UNIT, JOINT_STATE, absolute
 from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import BagError, ConfigError, located
@@ -93,12 +93,6 @@ class BagReader:
         self._stack.close()
 
     @property
-    def storage(self) -> str:
-        """Return the kind of its files: mcap, db3 or bag; of a log its suffix."""
-        kinds = sorted({KINDS[type(reader)] for reader in self._readers.values()})
-        return ", ".join(kinds) or self.path.suffix.lower().removeprefix(".")
-
-    @property
     def topics(self) -> list[BagTopic]:
         """Return the bag's topics by name; one with two types or two encodings occurs twice."""
         counts: Counter[BagTopic] = Counter()
@@ -141,6 +135,9 @@ class BagReader:
         """Return the topics of joint states, or those with these names; others are refused if all are to be there."""
         by_name = {topic.name: topic for topic in self.topics if topic.is_joint_state}
         wanted = by_name if names is None else dict.fromkeys(map(absolute, names))
+        if all_there and names is None and not any(topic.count for topic in by_name.values()):
+            present = listed(topic.name for topic in self.topics) or "nothing"
+            raise BagError(f"{plain(self.path)}: holds no joint states, only {present}")
         for name in wanted:
             if all_there and name not in by_name:
                 kinds = [plain(topic.msgtype) for topic in self.topics if topic.name == name]

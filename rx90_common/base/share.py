@@ -20,7 +20,7 @@ PACKAGES = ("rx90_common", "rx90_sim", "rx90_controller", "friction_bench", "rx9
 ROOT = Path(__file__).resolve().parents[2]
 """The folder that holds them: a checkout or a site-packages folder."""
 
-_CONSTANTS = re.compile(r"^from (\S+) import \(?(?:[\w\s]+,\s+)*[A-Z][A-Z0-9_]*\b", re.MULTILINE)
+_CONSTANTS = re.compile(r"^from (\S+) import \(?\s*(?:\w+(?: as \w+)?,\s+)*[A-Z][A-Z0-9_]*\b", re.MULTILINE)
 """An import of a constant, whose name is in capitals."""
 
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import lstsq
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Index
 from rx90_common.estimation.elements import FrictionRows, fit_laws, fitted_values, places
 from rx90_common.estimation.fit import Fit
 from rx90_common.estimation.law import LEAST_STRIBECK, Law, Part
@@ -194,10 +194,21 @@ def held_out_squares(result: Fit) -> Array:
     return squares
 
 
+def held_out_gain(block: Index, before: Array, after: Array) -> tuple[float, float]:
+    """Return by which share the RMS error falls, and its standard error over the blocks.
+
+    Args:
+        block: number of each row's block, shape (s,).
+        before: held-out squares of the simpler law, shape (s,).
+        after: of the other one, shape (s,).
+    """
+    gain = np.bincount(np.unique(block, return_inverse=True)[1], before - after)
+    total = max(float(before.sum()), np.finfo(np.float64).tiny)
+    deviation = np.sqrt(len(gain)) * float(np.std(gain, ddof=1)) if len(gain) > 1 else np.inf
+    return 0.5 * float(gain.sum()) / total, 0.5 * deviation / total
+
+
 def _trial(rows: FrictionRows, element: int, part: Part, before: Array, after: Array) -> Trial:
     own = rows.elements[element].rows
-    block = np.unique(rows.block[own], return_inverse=True)[1]
-    gain = np.bincount(block, before[own] - after[own])
-    total = max(float(before[own].sum()), np.finfo(np.float64).tiny)
-    deviation = np.sqrt(len(gain)) * float(np.std(gain, ddof=1)) if len(gain) > 1 else np.inf
-    return Trial(element, part, 0.5 * float(gain.sum()) / total, 0.5 * deviation / total)
+    gain, deviation = held_out_gain(rows.block[own], before[own], after[own])
+    return Trial(element, part, gain, deviation)

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rx90_emulator.cli.options import CONTROLLER, add_robot_arguments, whole_from
+from rx90_emulator.cli.options import add_node_arguments, add_robot_arguments, add_verbs, node_of, whole_from
 
 if TYPE_CHECKING:
     from rx90_emulator.loop.setup import Setup
@@ -14,53 +14,43 @@ if TYPE_CHECKING:
 
 _EPILOG = """\
 Without --port the line is a pseudo-terminal, whose name is printed; Ctrl-C ends. docs/reference/vplus.md has the
-commands. The arm moves on the wall clock, in the closed loop without ROS, or in running nodes.
+commands. The arm moves on the wall clock.
 """
 _TIMEOUT = 30.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's options."""
+    """Add the verbs and their options."""
+    add_verbs(parser, _VERBS)
+
+
+def _add_engine(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EPILOG
-    parser.set_defaults(interrupted="programs and locations that were not stored are gone", ros_args=[])
+    parser.set_defaults(interrupted="programs and locations that were not stored are gone")
     parser.add_argument("--port", type=whole_from(0, 65535), metavar="N", help="TCP port of 127.0.0.1; 0: any free one")
     parser.add_argument("--folder", type=Path, default=Path(), help="where LOAD and STORE find files (the present one)")
     parser.add_argument("--baud", type=whole_from(300, 115200), metavar="N", help="pace of the line, 8N1 (none)")
-    parser.add_argument(
-        "--nodes",
-        nargs="?",
-        const=CONTROLLER,
-        metavar="NAME",
-        help=f"use the arm of a running controller ({CONTROLLER})",
-    )
     add_robot_arguments(parser)
 
 
-def main(options: argparse.Namespace) -> None:
-    """Serve the monitor until Ctrl-C."""
-    # Here, because --help must not wait for them.
-    from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.loop.setup import Setup
+def _add_nodes(parser: argparse.ArgumentParser) -> None:
+    _add_engine(parser)
+    parser.set_defaults(ros_args=[])
+    add_node_arguments(parser, _TIMEOUT)
+
+
+def _engine(options: argparse.Namespace) -> None:
+    """Serve the monitor of an arm in the closed loop without ROS until Ctrl-C."""
+    # Here, because --help must not wait for it.
     from rx90_emulator.vplus.cell import Cell, Engine
 
-    setup = Setup.load(RobotFiles.of_options(options))
-    if options.nodes is not None:
-        _serve_on_nodes(options, setup)
-    else:
-        _serve(options, Cell(setup, Engine(setup, keep=False)))
+    setup = _setup(options)
+    _serve(options, Cell(setup, Engine(setup, keep=False)), waits=True)
 
 
-def _serve(options: argparse.Namespace, cell: Cell) -> None:
-    from rx90_emulator.vplus.monitor import serve
-
-    serve(cell, options.folder, _announce, options.port, options.baud, waits=options.nodes is None)
-
-
-def _announce(line: str) -> None:
-    print(f"monitor of V+ on {line}", flush=True)
-
-
-def _serve_on_nodes(options: argparse.Namespace, setup: Setup) -> None:
+def _nodes(options: argparse.Namespace) -> None:
+    """Serve the monitor of the arm of rx90_sim and rx90_controller until Ctrl-C."""
+    setup = _setup(options)
     from rx90_common.exchange.ros_start import prepare
 
     prepare()
@@ -68,8 +58,31 @@ def _serve_on_nodes(options: argparse.Namespace, setup: Setup) -> None:
     from rx90_controller.node.program_client import ProgramClient
     from rx90_emulator.vplus.cell import Cell
 
-    with client_node("rx90_monitor", _TIMEOUT, print, options.ros_args) as client:
-        nodes = ProgramClient(client, options.nodes, setup.robot.joint_names)
+    with client_node("rx90_monitor", options.timeout or _TIMEOUT, print, options.ros_args) as client:
+        nodes = ProgramClient(client, node_of(options), setup.robot.joint_names)
         cell = Cell(setup, nodes)
         cell.publish = nodes.signals(cell.receive)
-        _serve(options, cell)
+        _serve(options, cell, waits=False)
+
+
+def _setup(options: argparse.Namespace) -> Setup:
+    from rx90_common.description.robot_files import RobotFiles
+    from rx90_emulator.loop.setup import Setup
+
+    return Setup.load(RobotFiles.of_options(options))
+
+
+def _serve(options: argparse.Namespace, cell: Cell, *, waits: bool) -> None:
+    from rx90_emulator.vplus.monitor import serve
+
+    serve(cell, options.folder, _announce, options.port, options.baud, waits=waits)
+
+
+def _announce(line: str) -> None:
+    print(f"monitor of V+ on {line}", flush=True)
+
+
+_VERBS = (
+    (_add_engine, _engine, "of an arm in the closed loop without ROS"),
+    (_add_nodes, _nodes, "of the arm of running nodes"),
+)

@@ -71,6 +71,9 @@ def _add_file(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("file", metavar="FILE", type=Path, help="file or folder of programs")
+    parser.add_argument(
+        "--reading", action="append", default=[], metavar="NAME=VALUE", help="another reading of an uncertain part"
+    )
 
 
 def _add_program(parser: argparse.ArgumentParser) -> None:
@@ -90,9 +93,6 @@ def _add_program(parser: argparse.ArgumentParser) -> None:
         "--idle", type=POSITIVE, default=60.0, metavar="S", help="longest time without a motion, s (60)"
     )
     parser.add_argument("--longest", type=POSITIVE, default=300.0, metavar="S", help="longest run, s (300)")
-    parser.add_argument(
-        "--reading", action="append", default=[], metavar="NAME=VALUE", help="another reading of an uncertain part"
-    )
     add_robot_arguments(parser)
 
 
@@ -107,7 +107,7 @@ def _engine(options: argparse.Namespace) -> None:
     from rx90_emulator.vplus.run import run_program
 
     inputs = load_inputs(options.inputs) if options.inputs is not None else []
-    memory = _load(options.file, _readings(options.reading))
+    memory = _load(options)
     setup = Setup.load(RobotFiles.of_options(options))
     chosen = _chosen(options, record_fast=options.output is not None and not options.slow_only)
     began = time.perf_counter()
@@ -126,7 +126,7 @@ def _nodes(options: argparse.Namespace) -> None:
     from rx90_emulator.vplus.cell import load_inputs
 
     inputs = load_inputs(options.inputs) if options.inputs is not None else []
-    memory = _load(options.file, _readings(options.reading))
+    memory = _load(options)
     setup = Setup.load(RobotFiles.of_options(options))
     began = time.perf_counter()
     run = _on_nodes(options, setup, memory, inputs, _chosen(options, record_fast=False))
@@ -137,17 +137,17 @@ def _nodes(options: argparse.Namespace) -> None:
 
 def _check(options: argparse.Namespace) -> None:
     """Read and check files of programs; nothing runs."""
-    memory = _load(options.file)
+    memory = _load(options)
     print(f"{len(memory.programs)} programs without faults: {', '.join(memory.programs)}")
 
 
-def _load(file: Path, readings: Readings | None = None) -> Memory:
-    """Return the programs of a file or folder; of several faults all but the first are shown before it is raised."""
+def _load(options: argparse.Namespace) -> Memory:
+    """Return the programs of a file or folder; of several faults, those behind the first are shown before it."""
     from rx90_emulator.vplus.program import load_programs
     from rx90_emulator.vplus.values import LoadError
 
     try:
-        return load_programs(file, readings)
+        return load_programs(options.file, _readings(options.reading))
     except LoadError as error:
         for fault in error.faults[1:_MOST_FAULTS]:
             print(one_line(fault))

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from rig_bench import greeted, read_some, rig_file_with
 
-from friction_bench.experiment.asymptote import fit_asymptote
+from friction_bench.experiment.identification import identify_ramps
 from friction_bench.experiment.job import run_ramp
 from friction_bench.rig.client import COMMAND_TIMEOUT, STOP_SEQUENCES, RigClient, unwrap
 from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort, native_library
@@ -65,7 +65,7 @@ def test_lost_reports_cost_no_position(client: RigClient, emulated: EmulatedRig)
     assert client.bad_frames > 5
     assert client.lost_reports > 5
     assert client.last.counts == pytest.approx(emulated.plant.angle * 504 / (2 * math.pi), abs=400)
-    assert fit_asymptote(record).a == pytest.approx(0.05 / 6.4e-4, rel=0.03)
+    assert identify_ramps([record], 0.0).ramps[0].asymptote[0] == pytest.approx(0.05 / 6.4e-4, rel=0.03)
 
 
 def test_reset_in_a_ramp_is_noticed(client: RigClient, emulated: EmulatedRig) -> None:

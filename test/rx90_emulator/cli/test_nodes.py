@@ -136,7 +136,7 @@ CALLS = {
     "rx90 identify": (["sliding", "bag", "--output", "out.yaml"], "yaml"),
     "rx90 line": ([], "yaml"),
     "rx90 example": (["engine"], "pinocchio"),
-    "rx90 monitor": ([], "lark"),
+    "rx90 monitor": (["engine"], "lark"),
     "rx90 path": (["paths/circle.yaml"], "numba"),
     "rx90 program": (["engine", "a.v2"], "lark"),
     "rx90 replay": (["bag"], "pinocchio"),

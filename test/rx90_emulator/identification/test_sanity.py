@@ -152,7 +152,7 @@ def test_a_short_log_names_nothing_by_chance(tmp_path: Path) -> None:
 
 
 def test_bodies_far_from_the_description_are_named(described: RigidArm) -> None:
-    """Mass, first moment and inertia of what a joint moves follow from the links; a tenth or ten times is said."""
+    """Mass, first moment and inertia of what a joint moves follow from the links; ten times more or less is said."""
     light = described.with_bodies(0.1 * described.inertial, np.diag(described.rotor))
     bodies = moved_bodies(described, light)
     masses = described.inertial[::10]

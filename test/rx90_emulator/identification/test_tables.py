@@ -134,19 +134,11 @@ def test_stamps_and_numbers_are_those_of_the_table(tmp_path: Path, suffix: str) 
     assert series.names == ("a", "b")
 
 
-def test_a_plot_shows_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Six joints of a table are drawn as those of a bag."""
-    q = np.linspace(0.0, 0.2, 30)[:, None] * np.ones(6) + [0.0, 0.3, 0.9, 0.4, 0.5, 0.0]
-    table = write_table(tmp_path / "arm.npz", {"t": np.arange(30) / 10.0, "q": q})
-    field = {"columns": [f"q[{k}]" for k in range(6)], "unit": "rad"}
-    signals = write_map(tmp_path / "map.yaml", time={"column": "t", "unit": "s"}, position=field, velocity=None,
-                        names=[f"j{k}" for k in range(6)], effort=None, gear=None, torque_constant=None,
-                        zero=[0.1] * 6)  # fmt: skip
-    picture = tmp_path / "page.html"
-    assert run("rx90 bag", ["plot", str(table), "--signals", str(signals), "-o", str(picture)]) == DONE
-    assert "j5" in picture.read_text(encoding="utf-8")
-    assert run("rx90 bag", ["plot", str(table), "-o", str(tmp_path / "other.html")]) == REFUSED
-    assert "no signal map arm.yaml beside it; accepted: that file, or --signals FILE" in capsys.readouterr().err
+def test_whole_times_of_few_bits_are_exact(tmp_path: Path) -> None:
+    """Milliseconds in 32 bits become ns, which need more."""
+    table = write_table(tmp_path / "log.npz", {"t": np.array([1, 4_000_000_000], np.uint32), "q": np.zeros(2)})
+    write_map(tmp_path / "log.yaml", velocity=None, effort=None)
+    assert read_joint_states(table, "joint_states").stamp_ns.tolist() == [1_000_000, 4_000_000_000_000_000]
 
 
 @pytest.mark.parametrize(
