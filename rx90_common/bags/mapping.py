@@ -28,7 +28,9 @@ from typing import Annotated, Any, Final, Literal, TypeAlias
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
+from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import FIELDS, quantities
+from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import BagError
 from rx90_common.base.models import FileModel, NotZero, Some, not_accepted, quantity, read_model, refusal
 from rx90_common.base.quoting import plain
@@ -274,3 +276,14 @@ def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
     if not chosen.by_topic:
         raise BagError(f"{plain(chosen.path)}: names no columns of {plain(path)}; accepted: such as position")
     return chosen
+
+
+def exported_mapping(series: JointSeries) -> str:
+    """Return the signal map by which the CSV file of a series, as it is exported, is read again."""
+    columns: dict[str, Any] = {"names": list(series.names)}
+    first = 2
+    for name in series.fields:
+        columns[name] = {"columns": list(range(first, first + len(series.names))), "unit": series.units[name]}
+        first += len(series.names)
+    time = {"column": 1, "unit": "s"}
+    return yaml_text({"exact": True, "delimiter": ",", "header": 1, "time": time, "topics": {series.topic: columns}})
