@@ -33,9 +33,10 @@ class _Loader(yaml.composer.Composer, yaml.CSafeLoader):
     parses; the composer, which counts, is PyYAML's own.
     """
 
-    def __init__(self, stream: StringIO) -> None:
+    def __init__(self, stream: StringIO, numbered: bool) -> None:
         yaml.CSafeLoader.__init__(self, stream)
         yaml.composer.Composer.__init__(self)
+        self.keys: Any = (str, int) if numbered else str  # their types
         self._depth = 0
         self._count = 0  # of values so far
         self._values: dict[yaml.Node, int] = {}  # in each node that has an anchor and is complete, itself included
@@ -108,7 +109,7 @@ def _construct_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any
     mapping: dict[Any, Any] = {}
     for key_node, value_node in node.value:
         key = loader.construct_object(key_node, deep=True)
-        if not isinstance(key, str) or breaks_a_line(key):
+        if not isinstance(key, loader.keys) or breaks_a_line(str(key)):
             fault = f"the key {quoted(key)} is not a name in one line"
             raise _Fault(None, None, fault, key_node.start_mark)
         if key in mapping:
@@ -128,6 +129,7 @@ def read_yaml(
     accepted: str = "a mapping of keys to values",
     *,
     first: bool = False,
+    numbered: bool = False,
     lines: dict[str, int] | None = None,
 ) -> dict[str, Any]:
     """Read a YAML file whose top level is a mapping.
@@ -136,11 +138,12 @@ def read_yaml(
         path: of the file.
         accepted: expected content, for messages.
         first: whether to read the first of several documents; otherwise there must be one.
+        numbered: whether keys may be integers, too.
         lines: filled with the line numbers, from 1 on, of keys and items, by `a.b[2].c`.
     """
     text = _read(path)
     try:
-        loader = _Loader(StringIO(text))
+        loader = _Loader(StringIO(text), numbered)
         node: Any = loader.check_node() and loader.get_node() if first else loader.get_single_node()
         data = loader.construct_document(node) if node else None
     except (yaml.YAMLError, ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:

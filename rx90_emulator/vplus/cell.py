@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
-import yaml
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain, quoted
 from rx90_controller.trajectory import TrajectoryPoints
@@ -45,14 +45,15 @@ def load_inputs(file: Path) -> list[Change]:
         ConfigError: naming the value and what is accepted.
     """
     changes: list[Change] = []
-    try:
-        for signal, value in yaml.safe_load(file.read_text(encoding="utf-8")).items():
+    content: dict[Any, Any] = read_yaml(file, _ACCEPTED_INPUTS, numbered=True)
+    for signal, value in content.items():
+        try:
             times = np.array(value, dtype=np.float64).ravel()
-            if signal not in _INPUTS or not (np.diff(times, prepend=-1e-9) > 0.0).all():
-                raise ValueError(f"{quoted(signal)}: {quoted(value)}")
-            changes += [Change(float(time), signal, turn % 2 == 0) for turn, time in enumerate(times)]
-    except (OSError, AttributeError, TypeError, ValueError, yaml.YAMLError) as error:
-        raise ConfigError(f"{plain(file)}: {plain(error)}; accepted: {_ACCEPTED_INPUTS}") from None
+        except (TypeError, ValueError):
+            times = np.array([np.nan])
+        if signal not in _INPUTS or not (np.diff(times, prepend=-1e-9) > 0.0).all():
+            raise ConfigError(f"{plain(file)}: {quoted(signal)}: {quoted(value)}; accepted: {_ACCEPTED_INPUTS}")
+        changes += [Change(float(time), int(signal), turn % 2 == 0) for turn, time in enumerate(times)]
     return sorted(changes)
 
 

@@ -33,7 +33,7 @@ _REFUSED: Final = """
 VPICTURE VLOCATE VFEATURE VSHOW VTRAIN VDISPLAY  vision is not emulated
 ALTER ALTON ALTOFF  ALTER needs a licensed option
 FORCE.READ FORCE.MODE FORCE.FRAME FORCE.OFFSET  force sensing is not emulated
-FOPEN FOPENR FOPENW FCLOSE FSET  no files are emulated
+FOPEN FOPENA FOPEND FOPENR FOPENW FCLOSE FSET  no files are emulated
 EXECUTE ABORT KILL  one task is emulated
 MOVEF MOVESF  they belong to other arms
 DEVICE SETDEVICE DDCMP  no devices are emulated

@@ -61,7 +61,7 @@ class Monitor:
     Attributes:
         task: what runs programs and single instructions.
         program: the program that runs; None if none does.
-        call: it and its arguments.
+        call: its name and arguments, until it is through.
         cycles: that are left of it; negative for no end.
     """
 
@@ -130,6 +130,7 @@ class Monitor:
             if self.program is not None:
                 next(self.program)
         except StopIteration:
+            self.call = ()
             self._end("Program completed")
         except VplusError as error:
             self._end(f"{error.message} {error.where}")
@@ -318,12 +319,14 @@ def _execute(monitor: Monitor, text: str) -> None:
         raise VplusError("Missing argument", "EXECUTE program")
     _check_idle(monitor)
     task = monitor.task
-    monitor.call = parse_line(f"CALL {match[1]}").arguments
+    call = parse_line(f"CALL {match[1]}").arguments
+    monitor.call = ()
     monitor.cycles = int(match[2] or 1)
     task.frames = []
     task.halted = False
     task.always.update(OF_EXECUTE)
-    task.call(*monitor.call)
+    task.call(*call)
+    monitor.call = call
     monitor.program = monitor.rounds()
 
 
@@ -352,16 +355,18 @@ def _abort(monitor: Monitor, _: str) -> Dialogue:
 
 def _kill(monitor: Monitor, _: str) -> None:
     monitor.abort()
+    monitor.call = ()
     monitor.task.frames = []
 
 
 def _status(monitor: Monitor, _: str) -> Dialogue:
-    frames = monitor.task.frames
-    if not frames:
+    if not monitor.call:
         yield "Task 0  idle"
-    else:
-        state = "running" if monitor.program is not None else "stopped"
-        yield f"Task 0  {state}  {frames[-1].program.name}  step {frames[-1].place}"
+        return
+    state = "running" if monitor.program is not None else "stopped"
+    frames = monitor.task.frames
+    place = f"{frames[-1].program.name}  step {frames[-1].place}" if frames else monitor.call[0]
+    yield f"Task 0  {state}  {place}"
 
 
 def _file(monitor: Monitor, text: str) -> Path:
@@ -492,30 +497,55 @@ def serve(
                     _exchange(client.fileno(), monitor, output, baud, waits)
 
 
+class _Way:
+    """One direction of a line: how many bytes have had the time to pass."""
+
+    def __init__(self, baud: int | None) -> None:
+        self._byte_time = 0.0 if baud is None else _BITS / baud
+        self._clear = 0.0
+
+    def room(self, *, waiting: bool) -> int:
+        """Return the number of bytes that may pass now; while none wait, the time that goes by is of no use later."""
+        now = time.monotonic()
+        if not waiting:
+            self._clear = now
+        if self._byte_time == 0.0:
+            return _MOST_BYTES
+        return min(int((now - self._clear) / self._byte_time), _MOST_BYTES)
+
+    def take(self, count: int) -> None:
+        """Let bytes pass."""
+        self._clear += count * self._byte_time
+
+
 def _exchange(line: int, monitor: Monitor, output: bytearray, baud: int | None, waits: bool) -> None:
     """Exchange bytes with a terminal, and let the time of the cell pass with the wall clock, until it has gone."""
     cell = monitor.task.cell
-    most = _MOST_BYTES if baud is None else max(round(baud / _BITS * cell.period), 1)
+    incoming = _Way(baud)
+    outgoing = _Way(baud)
     output[:] = b"."
+    outgoing.room(waiting=False)
     began = time.monotonic() - cell.time
     while True:
-        wait = max(began + cell.time + cell.period - time.monotonic(), 0.0) if waits else 0.0
-        if baud is not None:
-            time.sleep(wait)
-            wait = 0.0
-        ready, free, _ = select.select([line], [line] if output else [], [], wait)
-        if ready:
+        time.sleep(max(began + cell.time + cell.period - time.monotonic(), 0.0) if waits else 0.0)
+        ready, free, _ = select.select([line], [line] if output else [], [], 0.0)
+        room = incoming.room(waiting=bool(ready))
+        if ready and room:
             try:
-                data = os.read(line, most)
+                data = os.read(line, room)
             except OSError:
                 data = b""
             if not data:
                 return
+            incoming.take(len(data))
             monitor.receive(data)
         late = time.monotonic() - began - cell.time if waits else cell.period
         for _ in range(min(int(late / cell.period), _MOST_BEATS)):
             monitor.beat()
         if late > _MOST_BEATS * cell.period:
             began = time.monotonic() - cell.time
-        if free:
-            del output[: os.write(line, output[:most])]
+        room = outgoing.room(waiting=bool(free))
+        if free and room:
+            count = os.write(line, output[:room])
+            outgoing.take(count)
+            del output[:count]

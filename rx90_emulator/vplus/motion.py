@@ -216,7 +216,7 @@ class Line:
 
     def tools(self, share: Array) -> Array:
         """Return the tool at shares of the way, shape (n, 4, 4)."""
-        tools = np.tile(self.start, (len(share), 1, 1))
+        tools = np.repeat(self.start[None], len(share), axis=0)
         tools[:, :3, :3] = self.start[:3, :3] @ axis_rotation(self._axis, share * self.angle)
         tools[:, :3, 3] += share[:, None] * self.way
         return tools
@@ -420,15 +420,14 @@ class MotionQueue:
 
     def _angles(self, times: Array) -> Array:
         """Return joint angles, rad, shape (n, 6), at times on the path, s."""
-        angles = np.tile(self.position, (len(times), 1))
         if not self._running:
-            return angles
+            return np.repeat(self.position[None], len(times), axis=0)
         shares = [motion.profile.share(times - motion.begin) for motion in self._running]
         first = self._running[0].line
         last = self._running[-1].line
         if first is not last and first is not None and last is not None:
             return self._corner(first.tools(shares[0]), last, shares[-1])
-        angles = np.tile(self._running[0].start, (len(times), 1))
+        angles = np.repeat(self._running[0].start[None], len(times), axis=0)
         for motion, share in zip(self._running, shares, strict=True):
             if motion.line is None:
                 angles += share[:, None] * (motion.end - motion.start)

@@ -15,6 +15,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from rx90_common.base.errors import ConfigError
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.line import run_line
@@ -274,18 +275,23 @@ def test_a_pallet_of_twelve_parts_runs_fast(shipped: Setup) -> None:
         "FOR j = 0 TO 3\nSET place = SHIFT(TRANS(450,200,-250,0,180) BY i*40,j*40,0)\nAPPRO pick, 80\nMOVES pick\n"
         "CLOSEI\nDEPARTS 80\nAPPRO place, 80\nMOVES place\nOPENI\nDEPARTS 80\nEND\nEND"
     )
-    ran(shipped, "READY")
-    began = time.process_time()
-    done = ran(shipped, text, longest=120.0)
+    ratios = []
+    for _ in range(2):  # the first one imports and compiles
+        began = time.process_time()
+        done = ran(shipped, text, longest=120.0)
+        ratios.append(done.cell.time / (time.process_time() - began))
     assert done.error is None
     assert len(done.motions) == 73
-    assert done.cell.time > 10.0 * (time.process_time() - began)
+    assert max(ratios) > 20.0
 
 
 def test_the_command_writes_what_it_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Bag, page and picture are there; faults of files and of programs have their exit codes."""
     (tmp_path / "in.yaml").write_text("{1001: 1.0, 1002: [0.5, 2]}")
     assert load_inputs(tmp_path / "in.yaml") == [(0.5, 1002, True), (1.0, 1001, True), (2.0, 1002, False)]
+    (tmp_path / "bad.yaml").write_text("{1001: 1.0, 2001: 2.0}")
+    with pytest.raises(ConfigError, match=r"bad.yaml: 2001: 2.0; accepted: inputs from 1001"):
+        load_inputs(tmp_path / "bad.yaml")
     words = ["--output", str(tmp_path / "bag"), "--report", str(tmp_path / "p.html"), "--plot", str(tmp_path / "p.png")]
     words += ["--inputs", str(tmp_path / "in.yaml")]
     assert run("rx90 program engine", [str(CASES / "c08_strings.v2"), "C08.STRINGS", *words]) == 0
