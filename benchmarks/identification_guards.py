@@ -398,8 +398,11 @@ def _read(arm: Recording, folder: Path, name: str, signals: str = "signals.yaml"
     stated = yaml.safe_load((folder / signals).read_text(encoding="utf-8"))
     table = np.genfromtxt(folder / f"{name}.csv", delimiter=",", names=True)
 
+    names = stated["names"]
+    places = [names.index(joint) for joint in arm.joints if joint in names] or [*range(len(names))]
+
     def columns(key: str) -> Array:
-        return np.column_stack([table[column] for column in stated[key]["columns"]])
+        return np.column_stack([table[stated[key]["columns"][place]] for place in places])
 
     position = columns("position") * (math.pi / 180.0 if stated["position"]["unit"] == "deg" else 1.0)
     constant = np.asarray(stated.get("torque_constant", 1.0), dtype=float)

@@ -23,6 +23,8 @@ from rx90_common.base.arrays import Array
 
 LEAST_SPEED = 0.05
 """rad/s below which a row is left out: an element may stick there."""
+RESTING_SHARE = 0.9
+"""Of the rows that are slow, from which an element trembles with the others and rests."""
 BLOCKS = 20
 _HUBER = 1.345
 _STEPS = 20
@@ -107,7 +109,9 @@ class PlainArm:
         inputs = motion[1] @ self.element_matrix.T
         columns = self._columns(motion, inputs) if known is None else known(motion)[:, :, None]
         speed = self.kept(inputs, rate)
-        moving = ~((np.abs(speed) < LEAST_SPEED) @ (self.element_matrix != 0.0))
+        rests = np.abs(speed) < LEAST_SPEED
+        rests |= rests.mean(axis=0) > RESTING_SHARE
+        moving = ~(rests @ (self.element_matrix != 0.0))
         return Rows(self.kept(columns, rate), self.kept(log.torque, rate), moving)
 
     def _columns(self, motion: Array, inputs: Array) -> Array:

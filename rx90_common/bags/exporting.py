@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.mapping import LogMapping, exported_mapping
+from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.reading import Progress, read_joint_bag, silent
 from rx90_common.bags.writing import named_at_the_end
 from rx90_common.base.errors import BagError
@@ -69,13 +69,9 @@ def export_bag(
 
 
 def _write_csv(path: Path, series: JointSeries) -> None:
-    """Write times in s with nine decimals, which are exact, and numbers with all digits needed to restore them.
-
-    A signal map is written beside it, with which `rx90 bag import` makes the bag again.
-    """
+    """Write times in s with nine decimals, which are exact, and numbers with all digits needed to restore them."""
     from pyarrow.csv import WriteOptions, write_csv  # takes a while
 
-    path.with_suffix(".yaml").write_text(exported_mapping(series), encoding="utf-8")
     times = [f"{stamp // NANOSECONDS}.{stamp % NANOSECONDS:09d}" for stamp in series.stamp_ns.tolist()]
     table = _table(series, {"time [s]": times})
     with path.open("w", encoding="utf-8", newline="") as file:

@@ -12,8 +12,8 @@ from rx90_common.bags.joint_series import Int64Array, JointSeries
 from rx90_common.bags.topics import FIELDS
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
-from rx90_common.base.quoting import counted
-from rx90_common.base.rates import NANOSECONDS, message_time_ns
+from rx90_common.base.quoting import counted, listed, quoted
+from rx90_common.base.rates import message_time_ns
 from rx90_common.exchange.cdr_stamps import ENCAPSULATION, HEAD, LITTLE_ENDIAN, cdr_stamps_ns
 
 _BLOCK = 8192  # messages; a few MB at a time, whatever the bag's size
@@ -83,10 +83,8 @@ class SeriesBuilder:
         """Keep rows with those of the same joints, in the order of joints of the first one."""
         first, parts = self._sets.setdefault(frozenset(content.names), (content, []))
         if content.fields != first.fields:
-            usual = ", ".join(first.fields) or "no arrays"
-            other = ", ".join(content.fields) or "no arrays"
-            start = f"(from t = {rows.stamp_ns[0] / NANOSECONDS:.9f} s)"
-            raise BagError(f"{self._topic}: carries {usual} in some messages and {other} in others {start}")
+            both = f"{listed(first.fields) or 'no arrays'} in some messages and {listed(content.fields) or 'no arrays'}"
+            raise BagError(f"{self._topic}: carries {both} in others; accepted: the same in all")
         if content.names != first.names:
             columns = [content.names.index(name) for name in first.names]
             rows = rows._replace(values=rows.values[:, :, columns])
@@ -125,19 +123,16 @@ class SeriesBuilder:
     def _content(self, message: Any) -> tuple[_Content, Int64Array, Array]:
         """Return the content of a message, its stamp and its numbers."""
         names = tuple(message.name)
-        stamp_ns = message_time_ns(message.header.stamp)
-        where = f"{self._topic} at t = {stamp_ns / NANOSECONDS:.9f} s"
-        if not names or len(set(names)) != len(names):
-            raise BagError(f"{where}: joint names are {list(names)}; accepted: one or more, each once")
         arrays = {"position": message.position, "velocity": message.velocity, "effort": message.effort}
+        if not names or len(set(names)) != len(names):
+            raise BagError(f"{self._topic}: joint names are {quoted(list(names))}; accepted: one or more, each once")
         for field, array in arrays.items():
             if len(array) not in (0, len(names)):
-                raise BagError(
-                    f"{where}: {counted(len(array), 'number')} in {field} for {counted(len(names), 'joint')}"
-                )
+                numbers = f"{counted(len(array), 'number')} in {field}"
+                raise BagError(f"{self._topic}: {numbers} for {counted(len(names), 'joint')}; accepted: one for each")
         content = _Content(names, tuple(field for field, array in arrays.items() if len(array)))
-        numbers = np.concatenate([np.asarray(array, dtype=np.float64) for array in arrays.values()])
-        return content, np.array([stamp_ns], dtype=np.int64), numbers
+        values = np.concatenate([np.asarray(array, dtype=np.float64) for array in arrays.values()])
+        return content, np.array([message_time_ns(message.header.stamp)]), values
 
 
 def _places(frame_id: str, content: _Content) -> tuple[list[int], list[int]]:

@@ -83,11 +83,6 @@ class JointSeries:
         fields: dict[str, Any] = {field: values[rows] for field, values in self.fields.items()}
         return replace(self, stamp_ns=self.stamp_ns[rows], **fields)
 
-    def only(self, fields: Sequence[str]) -> JointSeries:
-        """Return the series with these arrays alone."""
-        left_out: dict[str, Any] = {field: None for field in FIELDS if field not in fields}
-        return replace(self, **left_out)
-
     def select(self, names: Sequence[str]) -> JointSeries:
         """Return the series of these joints, in this order.
 

@@ -46,14 +46,14 @@ def check_length(noun: str, length: int, most: int) -> None:
         raise DamagedError(f"{noun}: {length:,} bytes unpacked; accepted: up to {most:,}")
 
 
-def check_whole(path: Path, noun: str, length: int) -> None:
+def check_whole(path: Path, noun: str, length: int, factor: int = _MAX_WHOLE_FACTOR) -> None:
     """Refuse a file whose parts together would unpack to far more than its size."""
-    check_length(f"its {noun} together", length, max(_MAX_WHOLE_BYTES, _MAX_WHOLE_FACTOR * path.stat().st_size))
+    check_length(f"its {noun} together", length, max(_MAX_WHOLE_BYTES, factor * path.stat().st_size))
 
 
 def check_arrays(path: Path, length: int) -> None:
     """Refuse a file whose arrays, which are all in memory at once, would unpack to far more than its size."""
-    check_length("its arrays together", length, max(_MAX_WHOLE_BYTES, _MAX_ARRAYS_FACTOR * path.stat().st_size))
+    check_whole(path, "arrays", length, _MAX_ARRAYS_FACTOR)
 
 
 def load_arrays(path: Path) -> dict[str, NDArray[Any]]:

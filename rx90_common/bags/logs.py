@@ -27,7 +27,7 @@ from rx90_common.base.rates import NANOSECONDS
 
 _LAST_NS: Final = 2**31 * NANOSECONDS  # stamps of ROS end there
 _LARGEST: Final = 1e9  # rad, rad/s, Nm or A: beyond any joint, while a damaged number may be as large
-_COMMENT = re.compile(r"^[ \t]*[#%].*$", re.MULTILINE)
+_COMMENT_OR_BLANK = re.compile(r"^[ \t]*([#%].*)?$", re.MULTILINE)
 _NUMBER_BYTES = 8
 _Columns = Mapping[int | str, Any]
 
@@ -118,7 +118,7 @@ def _text_columns(path: Path, mapping: LogMapping) -> _Columns:
         text = re.sub(r"(?m)^[ \t]+|[ \t]+$", "", text)
         text = re.sub(r"[ \t]+", " ", text)
     *head, body = text.split("\n", mapping.header)
-    body = _COMMENT.sub("", body)
+    body = _COMMENT_OR_BLANK.sub("", body)
     first = head[-1].lstrip("#% \t") if head else body.lstrip("\n").partition("\n")[0]
     cells = next(csv.reader([first], delimiter=delimiter, skipinitialspace=True), [])
     names = [cell.strip() for cell in cells] if head else []
@@ -156,6 +156,7 @@ def _stamps_ns(path: Path, mapping: LogMapping, columns: Mapping[int | str, Any]
     time = mapping.time
     if time is None:
         return np.asarray(np.rint(np.arange(count) * (NANOSECONDS / (mapping.rate or 1.0))), dtype=np.int64)
+    stamps: Int64Array
     cells = columns[time.column]
     unit_ns = TIME_UNITS[time.unit]
     if isinstance(cells, np.ndarray):
@@ -164,8 +165,10 @@ def _stamps_ns(path: Path, mapping: LogMapping, columns: Mapping[int | str, Any]
             unit_ns = 1
         inside = (cells >= 0) & (cells < _LAST_NS / unit_ns)  # a NaN is not
         times = np.where(inside, cells, 0)
-        whole = np.issubdtype(cells.dtype, np.integer)
-        stamps: Int64Array = times * unit_ns if whole else np.rint(times * float(unit_ns)).astype(np.int64)
+        if np.issubdtype(cells.dtype, np.integer):
+            stamps = times.astype(np.int64) * unit_ns
+        else:
+            stamps = np.rint(times * float(unit_ns)).astype(np.int64)
     else:
         stamps = np.array([_stamp_ns(cell, mapping.decimal, unit_ns) for cell in cells.to_pylist()], dtype=np.int64)
         inside = stamps >= 0

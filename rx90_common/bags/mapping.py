@@ -27,9 +27,7 @@ from typing import Annotated, Any, Final, Literal, TypeAlias
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import FIELDS, quantities
-from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import BagError
 from rx90_common.base.models import FileModel, NotZero, not_accepted, quantity, read_model, refusal
 from rx90_common.base.quoting import plain
@@ -48,8 +46,6 @@ ARRAYS: Final = (".parquet", ".npz")
 """Suffixes of logs of arrays."""
 TABLES: Final = (".csv", ".tsv", ".txt", ".dat", *ARRAYS)
 """Suffixes of logs in columns."""
-_TOPIC = r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$"
-_TOPICS = "a name as ROS has it, of letters, digits, _ and /, no part of which begins with a digit"
 
 _Column: TypeAlias = Annotated[
     Annotated[int, Field(ge=1, le=100_000)] | str,
@@ -126,12 +122,7 @@ class SignalMapFile(FileModel):
     """What a log holds: columns of a table, or messages of a bag."""
 
     topic: Annotated[
-        str | None,
-        Field(
-            pattern=_TOPIC,
-            description="JointState topic of a bag, or that of a table, joint_states by default.",
-            json_schema_extra={"accepted": _TOPICS},
-        ),
+        str | None, Field(description="JointState topic of a bag, or that of a table, joint_states by default.")
     ] = None
     names: Annotated[
         tuple[str, ...] | None,
@@ -257,15 +248,3 @@ def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
     if not chosen.fields:
         raise BagError(f"{plain(chosen.path)}: names no columns of {plain(path)}; accepted: such as position")
     return chosen
-
-
-def exported_mapping(series: JointSeries) -> str:
-    """Return the signal map by which the CSV file of a series, as it is exported, becomes a bag again."""
-    content: dict[str, Any] = {"topic": series.topic}
-    content["time"] = {"column": 1, "unit": "s"}
-    content["names"] = list(series.names)
-    column = 2
-    for name in series.fields:
-        content[name] = {"columns": list(range(column, column + len(series.names))), "unit": series.units[name]}
-        column += len(series.names)
-    return yaml_text(content)

@@ -8,12 +8,11 @@ than real time.
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Sequence
-from itertools import count, repeat
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array
 from rx90_common.base.rates import NANOSECONDS
@@ -54,13 +53,16 @@ class Arrived(NamedTuple):
     received_ns: Int64Array
 
 
-class Entry(NamedTuple):
-    """A message with its log time, ns, the place of its topic, and its number among all that arrived."""
+class Dated(NamedTuple):
+    """n messages: log times, ns, int64 (n,), the places of their topics, int64 (n,), and bytes, (n,)."""
 
-    log_ns: int
-    topic: int
-    arrival: int
-    message: bytes
+    log_ns: Int64Array
+    topic: Int64Array
+    messages: NDArray[Any]
+
+    def take(self, rows: NDArray[np.intp]) -> Dated:
+        """Return the messages of these rows."""
+        return Dated(self.log_ns[rows], self.topic[rows], self.messages[rows])
 
 
 class LogOrder:
@@ -91,11 +93,11 @@ class LogOrder:
         self._ahead: dict[int, int] = {}  # of each of these: log time less stamp
         self._newest_ahead = 0  # of the topics that have gone back most often
         self._by_reception = False
-        self._held: list[Entry] = []
-        self._arrivals = count()
+        self._held: list[Dated] = []
         self._undated: list[Arrived] = []
         self._next_release_ns = 0  # as `now_ns` of `release`
-        self._due = -1  # newest log time at the last release: messages up to it have come
+        self._come = -1  # newest log time at the last call of `release`: messages up to it have come by the next one
+        self._released = -1  # log time up to which messages have been released
 
     def date_by_reception(self) -> None:
         """Use the times of reception from now on, if no topic has given the time."""
@@ -118,8 +120,8 @@ class LogOrder:
                 self._hold(batch, self._by_clock(batch))
             self._undated = []
 
-    def release(self, now_ns: int) -> list[Entry]:
-        """Return the messages that are old enough that no older ones are expected.
+    def release(self, now_ns: int) -> Dated | None:
+        """Return the messages that are old enough that no older ones are expected, if there are any.
 
         Args:
             now_ns: time of a clock that is never set, ns.
@@ -127,29 +129,33 @@ class LogOrder:
         if self._by_reception:
             return self.release_all()
         if self._clock is None or now_ns < self._next_release_ns:
-            return []
-        due = min(self._due, self._newest - _HOLD_NS)
-        self._due = self._newest
+            return None
+        self._released = min(self._come, self._newest - _HOLD_NS)
+        self._come = self._newest
         self._next_release_ns = now_ns + _RESEND_NS
-        self._held.sort()
-        end = bisect_right(self._held, due, key=lambda entry: entry.log_ns)
-        released = self._held[:end]
-        self._held = self._held[end:]
-        self.held_bytes -= sum(len(entry.message) for entry in released)
-        return released
+        return self._cut(self._released)
 
-    def release_all(self) -> list[Entry]:
-        """Return all that is held."""
+    def release_all(self) -> Dated | None:
+        """Return all that is held, if there is any."""
         self.date_by_reception()
         self.add([])
-        released = sorted(self._held)
-        self._held = []
-        self.held_bytes = 0
-        return released
+        return self._cut(np.iinfo(np.int64).max)
+
+    def _cut(self, last: int) -> Dated | None:
+        """Return the messages with log times up to `last`, in order, and hold the others."""
+        if not self._held:
+            return None
+        held = Dated(*map(np.concatenate, zip(*self._held, strict=True)))
+        order = np.lexsort((held.topic, held.log_ns))  # stable: the rest is in order of arrival
+        end = int(np.searchsorted(held.log_ns[order], last, side="right"))
+        released = held.take(order[:end])
+        self._held = [held.take(order[end:])]
+        self.held_bytes -= sum(map(len, released.messages))
+        return released if end else None
 
     def _hold(self, batch: Arrived, log_ns: Int64Array) -> None:
-        entries = zip(log_ns.tolist(), repeat(batch.source.topic), self._arrivals, batch.messages)
-        self._held += map(Entry._make, entries)
+        topic = np.full_like(log_ns, batch.source.topic)
+        self._held.append(Dated(log_ns, topic, np.array(batch.messages, dtype=object)))
 
     def _by_stamps(self, batch: Arrived) -> Int64Array:
         """Return log times of messages of a topic that gives the time, and go on by them."""
@@ -177,7 +183,7 @@ class LogOrder:
             return batch.received_ns
         received_ns, log_ns = self._clock
         newest = log_ns[np.maximum(np.searchsorted(received_ns, batch.received_ns) - 1, 0)]
-        if batch.source.latched and self._due < 0:
+        if batch.source.latched and self._released < 0:
             newest = np.full_like(newest, self._first)
         stamps = stamps_ns(batch.messages, batch.source.stamp_at)
         by_stamp = stamps + self._newest_ahead

@@ -21,7 +21,7 @@ from rx90_common.bags.joint_messages import SeriesBuilder
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.limits import ZSTD_MAGIC, DamagedError, library_errors, unpack_message
 from rx90_common.bags.mapping import LogMapping, is_table
-from rx90_common.bags.storage import ACCEPTED, KINDS, BagTopic, StorageReader, open_storage, topic_of
+from rx90_common.bags.storage import ACCEPTED, BagTopic, StorageReader, open_storage, topic_of
 from rx90_common.bags.topics import EFFORT_UNIT, JOINT_STATE, absolute
 from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import BagError, ConfigError, located
@@ -91,12 +91,6 @@ class BagReader:
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
-
-    @property
-    def storage(self) -> str:
-        """Return the kind of its files: mcap, db3 or bag; of a log its suffix."""
-        kinds = sorted({KINDS[type(reader)] for reader in self._readers.values()})
-        return ", ".join(kinds) or self.path.suffix.lower().removeprefix(".")
 
     @property
     def topics(self) -> list[BagTopic]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import xml.etree.ElementTree as ET
 from contextlib import suppress
 from dataclasses import dataclass
@@ -48,28 +47,14 @@ def check_robot(path: Path | str, robot: str) -> None:
                     )
 
 
-@dataclass(frozen=True)
-class ParameterChange:
-    """A parameter of a node that was changed while it ran; it counts from this stamp on. The value is JSON."""
-
-    node: str
-    name: str
-    value: str
-    stamp_ns: int
-
-
-def read_changes(path: Path | str) -> list[ParameterChange]:
-    """Return the changes of parameters in a bag, in the order of its messages."""
-    return [
-        ParameterChange(event.node, changed.name, _value(changed.value), message_time_ns(event.stamp))
-        for event in _events(path)
-        for changed in event.changed_parameters
-    ]
+def read_changes(path: Path | str) -> list[str]:
+    """Return the names of the parameters that were changed while a bag was recorded, in the order of its messages."""
+    return [changed.name for event in _events(path) for changed in event.changed_parameters]
 
 
 def read_values(path: Path | str) -> dict[str, Any]:
     """Return the parameters in a bag at the start of its nodes, by their names: numbers, lists of these, ..."""
-    return {new.name: json.loads(_value(new.value)) for event in _events(path) for new in event.new_parameters}
+    return {new.name: _value(new.value) for event in _events(path) for new in event.new_parameters}
 
 
 def _events(path: Path | str) -> list[Any]:
@@ -78,10 +63,10 @@ def _events(path: Path | str) -> list[Any]:
         return [bag.deserialize(topic, data) for topic, _, data in bag.messages(topics)]
 
 
-def _value(value: Any) -> str:
-    """Return the value of a rcl_interfaces/ParameterValue as JSON, null for nothing."""
-    field_value = getattr(value, f"{_VALUES[value.type]}_value") if 0 < value.type < len(_VALUES) else None
-    return json.dumps(field_value.tolist() if isinstance(field_value, np.ndarray) else field_value)
+def _value(value: Any) -> Any:
+    """Return what a rcl_interfaces/ParameterValue holds, None for nothing."""
+    held = getattr(value, f"{_VALUES[value.type]}_value") if 0 < value.type < len(_VALUES) else None
+    return held.tolist() if isinstance(held, np.ndarray) else held
 
 
 @dataclass(frozen=True)

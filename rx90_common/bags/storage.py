@@ -60,7 +60,6 @@ _DECOMPRESSORS: dict[str, Callable[[], Any]] = {
 _UNPACKED = ("", "none")
 _LONGEST = "SELECT max(length(data)) FROM messages"
 StorageReader: TypeAlias = McapReader | Sqlite3Reader | Ros1Reader
-KINDS: Final = {McapReader: "mcap", Sqlite3Reader: "db3", Ros1Reader: "bag"}
 
 
 @dataclass(frozen=True, order=True)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.reading import BagReader, BagTopic
-from rx90_common.bags.recorded import ParameterChange, read_changes
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
@@ -33,7 +32,7 @@ class TopicSummary:
         gaps: intervals between messages of more than 1.5 times the median.
         longest_gap_ns: the longest of these, 0 when there is none.
         backward: messages with an earlier time than the one before.
-        repeated: messages with the same time as the one before.
+        repeated: joint states with the same time as the one before.
         effort_unit: of a topic whose efforts are not in the usual unit of its name.
     """
 
@@ -56,17 +55,11 @@ class BagSummary:
 
     Attributes:
         path: of the bag.
-        storage: the kind of its files: mcap, db3 or bag.
-        size: of its files in bytes.
         topics: by name.
-        changes: of parameters, in the order of the messages.
     """
 
     path: Path
-    storage: str
-    size: int
     topics: tuple[TopicSummary, ...]
-    changes: tuple[ParameterChange, ...]
 
     @property
     def count(self) -> int:
@@ -88,14 +81,9 @@ def summarise(path: Path | str, mapping: LogMapping | None = None) -> BagSummary
                 times[topic].append(max(0, cdr_stamp_ns(data)) if topic.is_joint_state else log_ns)
         for series in bag.table:
             times[topics[0]] = series.stamp_ns.tolist()
-        files = [bag.path] if bag.path.is_file() else [file for file in bag.path.iterdir() if file.is_file()]
-        size = sum(file.stat().st_size for file in files)
         return BagSummary(
             path=bag.path,
-            storage=bag.storage,
-            size=size,
             topics=tuple(_summarise(t, np.array(times[t], np.int64), bag.effort_units.get(t.name, "")) for t in topics),
-            changes=() if bag.table else tuple(read_changes(path)),
         )
 
 
@@ -114,6 +102,6 @@ def _summarise(topic: BagTopic, times: NDArray[np.int64], effort_unit: str) -> T
         gaps=len(gaps),
         longest_gap_ns=int(gaps.max(initial=0)),
         backward=int((steps < 0).sum()),
-        repeated=int((steps == 0).sum()),
+        repeated=int((steps == 0).sum()) if topic.is_joint_state else 0,
         effort_unit=effort_unit,
     )

@@ -78,15 +78,8 @@ def summary_json(summary: BagSummary) -> str:
 
 def summary_text(summary: BagSummary) -> str:
     """Return a table of the topics below one line about the whole bag."""
-    changes = [
-        f"{plain(change.node)}: {plain(change.name)} changed to {plain(change.value)}, from t = "
-        f"{_seconds(change.stamp_ns)} s on" for change in summary.changes
-    ]  # fmt: skip
-    return "\n".join([
-        f"{plain(summary.path)}: {summary.storage}, {summary.size / 1e6:.1f} MB, {counted(summary.count, 'message')}",
-        _table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics]),
-        *changes,
-    ])  # fmt: skip
+    head = f"{plain(summary.path)}: {counted(summary.count, 'message')}"
+    return f"{head}\n{_table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics])}"
 
 
 def _topic_row(topic: TopicSummary) -> tuple[str, ...]:

@@ -174,11 +174,6 @@ class BagWriter(Writer):
         types = types or typestore()
         return self.add_connection(absolute(topic), msgtype, typestore=types, offered_qos_profiles=[qos]).id
 
-    def say_unit(self, topic: str, effort_unit: str) -> None:
-        """Say in the metadata in which unit a topic's efforts are, where it is not the usual one."""
-        if effort_unit:
-            self.set_custom_data(f"{EFFORT_UNIT}{absolute(topic)}", effort_unit)
-
     def write_many(self, number: Int64Array, log_ns: Int64Array, messages: list[bytes]) -> None:
         """Write serialised messages in this order.
 
@@ -319,8 +314,9 @@ def write_joint_states(
         raise BagError(f"{plain(path)}: topics {listed(topics)}; accepted: each topic once")
     with named_at_the_end(path) as folder, BagWriter(folder / path.name, named=path) as bag:
         numbers = [bag.add_topic(topic, JOINT_STATE, offered_qos()) for topic in topics]
-        for part in series:
-            bag.say_unit(part.topic, part.effort_unit)
+        for topic, part in zip(topics, series, strict=True):
+            if part.effort_unit:
+                bag.set_custom_data(f"{EFFORT_UNIT}{topic}", part.effort_unit)
         latched: dict[str, int] = {}
         for single in messages:
             if single.topic not in latched:
@@ -331,14 +327,14 @@ def write_joint_states(
         counts = [len(part.stamp_ns) for part in series]
         log_ns = np.concatenate([np.empty(0, dtype=np.int64), *(part.stamp_ns for part in series)])
         source = np.repeat(np.arange(len(series)), counts)
-        row = np.concatenate([np.empty(0, dtype=np.int64), *map(np.arange, counts)])
+        first_rows = np.cumsum(counts) - counts
         order = np.argsort(log_ns, kind="stable")
         for begin in range(0, len(order), _MESSAGES_AT_ONCE):
             rows = order[begin : begin + _MESSAGES_AT_ONCE]
             block = np.empty(len(rows), dtype=object)
             for k, encode in enumerate(encoders):
                 of_series = source[rows] == k
-                block[of_series] = encode(row[rows[of_series]])
+                block[of_series] = encode(rows[of_series] - first_rows[k])
             bag.write_many(np.array(numbers)[source[rows]], log_ns[rows], block.tolist())
 
 

@@ -1,11 +1,14 @@
 """Choose the law of each element by its error in blocks of data that the fit did not see.
 
-All elements begin with all parts, because what one part explains another one imitates where it is missing. Then one
-part after the other, the last first, is left out of all elements at once, and each block of rows is predicted by the
-fit to the other blocks. An element keeps the part if that lowers the squares on its rows by more than one standard
-error over the blocks (the one-standard-error rule of Breiman et al. 1984), and if none of the part's parameters ends at
-a bound. A rise whose omega_s is near the top speed is a slope, which the viscous exponent has as well: it stays only
-where friction falls with speed.
+One part imitates another that is missing, so that neither can be judged alone: all combinations of parts are fitted,
+each to all elements at once, and each block of rows is predicted by the fit to the other blocks. An element gets the
+smallest combination from which no larger one lowers the squares on its rows by more than one standard error over the
+blocks (the one-standard-error rule of Breiman et al. 1984). A combination with a parameter at a bound is none. A rise
+whose omega_s is near the top speed is a slope, which the viscous exponent has as well: it stays only where friction
+falls with speed.
+
+A bristle acts after a reversal, as a rise does, and each alone imitates the other: it is tried last, where a rise was
+found.
 
 Leaving out a block takes one Gauss-Newton step from the fit to all rows, which is exact for linear parameters.
 """
@@ -15,6 +18,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from scipy.linalg import lstsq
@@ -22,10 +27,12 @@ from scipy.linalg import lstsq
 from rx90_common.base.arrays import Array, Index
 from rx90_common.estimation.elements import FrictionRows, fit_laws, fitted_values, places
 from rx90_common.estimation.fit import Fit
-from rx90_common.estimation.law import LEAST_STRIBECK, Law, Part
+from rx90_common.estimation.law import LEAST_STRIBECK, MOST_STRIBECK, Law, Part
 
 STEEP = 0.25
 """Of the top speed: omega_s up to which a rise is one, and no slope over the whole range of speeds."""
+STANDARD_ERRORS = 1.0
+"""Of a gain, that it must exceed. With two, sweeps of few plateaus lose rises that they have."""
 MOST_FOLDS = 20
 """Blocks are joined to so many folds at most."""
 
@@ -41,7 +48,7 @@ _OWN: dict[Part, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Trial:
-    """What a part brings an element.
+    """What a part brings an element, beside the others that it has.
 
     Attributes:
         element: its number.
@@ -55,13 +62,12 @@ class Trial:
     part: Part
     gain: float
     deviation: float
-
     bound: str = ""
 
     @property
     def kept(self) -> bool:
         """Return whether the element keeps the part."""
-        return bool(self.gain > self.deviation and not self.bound)
+        return bool(self.gain > STANDARD_ERRORS * self.deviation and not self.bound)
 
     @property
     def reason(self) -> str:
@@ -80,50 +86,125 @@ class Choice:
     trials: tuple[Trial, ...]
 
 
+Parts = frozenset[Part]
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """A fit of one law for each element, and the parts that may not end at a bound."""
+
+    laws: list[Law]
+    fit: Fit
+    parts: Parts
+
+    @cached_property
+    def squares(self) -> Array:
+        """Return the squares of the held-out errors, shape (r,)."""
+        return held_out_squares(self.fit)
+
+    @property
+    def values(self) -> list[dict[str, float]]:
+        """Return the fitted parameters of each element by name."""
+        return fitted_values(self.laws, self.fit.x)
+
+    def bound(self, number: int) -> str:
+        """Return the name of a parameter of an element's parts that ends at a bound; "" if there is none."""
+        law = self.laws[number]
+        place = places(self.laws)[number]
+        names = [_at_bound(law, part, self.fit, place) for part in Part if part in law.parts & self.parts]
+        return next(filter(None, names), "")
+
+
 def choose(
     rows: FrictionRows,
     parts: Sequence[Part],
     laws: Sequence[Law],
     progress: Callable[[str], None] = lambda _: None,
+    *,
+    everywhere: bool = False,
 ) -> Choice:
     """Choose the parts of each element's law.
 
     Args:
         rows: the equations.
-        parts: to try, in the order of their plausibility: the last is left out first.
+        parts: to try.
         laws: that each element has at least, such as Coulomb and viscous friction.
-        progress: called with the name of each part before its trial.
+        progress: called with the names of the parts before each trial.
+        everywhere: whether a bristle is tried where no rise was found, too.
     """
-    chosen = list(laws)
-    for part in parts:
-        chosen = [replace(law, parts=law.parts | {part}) for law in chosen]
-    progress("all parts")
-    best = fit_laws(rows, chosen)
-    weight = best.weight
+    candidates: dict[Parts, _Fitted] = {}
+    weight = None
+    for some in reversed(_combinations(parts)):
+        progress(", ".join(part.value for part in Part if part in some) or "Coulomb and viscous friction")
+        richer_laws = [replace(law, parts=law.parts | some) for law in laws]
+        candidates[some] = _Fitted(richer_laws, fit_laws(rows, richer_laws, weight), some)
+        weight = candidates[some].fit.weight
+    chosen = []
+    known = []
     trials = []
-    for part in reversed(parts):
-        progress(part.value)
-        candidates = [_without(law, part) for law in chosen]
-        simpler = fit_laws(rows, candidates, weight, _known(chosen, candidates, best))
-        error = held_out_squares(best)
-        simpler_error = held_out_squares(simpler)
-        kept = []
-        for number, place in enumerate(places(chosen)):
-            trial = _trial(rows, number, part, simpler_error, error)
-            trial = replace(trial, bound=_at_bound(chosen[number], part, best, place))
-            trials.append(trial)
-            kept.append(chosen[number] if trial.kept else _simpler(chosen[number], candidates[number], trial))
-        if kept != chosen:
-            best = fit_laws(rows, kept, weight, _known(chosen, kept, best))
-            chosen = kept
-    best = fit_laws(rows, chosen, known=fitted_values(chosen, best.x))
-    return without_bound_parts(rows, Choice(tuple(chosen), best, tuple(trials)))
+    for number in range(len(laws)):
+        best = _best(rows, number, candidates)
+        chosen.append(candidates[best].laws[number])
+        known.append(candidates[best].values[number])
+        for part in parts:
+            if part is not Part.BRISTLE:
+                richer = candidates.get(best | {part}, candidates[best])
+                trials.append(_trial(rows, number, part, candidates[_less(best, part)], richer))
+    choice = Choice(tuple(chosen), fit_laws(rows, chosen, None, known), tuple(trials))
+    choice = without_bound_parts(rows, choice)
+    tried = [number for number, law in enumerate(choice.laws) if everywhere or Part.STRIBECK in law.parts]
+    if Part.BRISTLE not in parts or not tried:
+        return choice
+    progress(Part.BRISTLE.value)
+    return _with_bristles(rows, choice, tried)
 
 
-def _simpler(law: Law, without: Law, trial: Trial) -> Law:
-    """Return the law of an element that does not keep a part: of a rise that helps, its exponent goes first."""
-    exponent = trial.part is Part.STRIBECK and Part.STRIBECK_EXPONENT in law.parts
-    return _without(law, Part.STRIBECK_EXPONENT) if exponent and trial.gain > trial.deviation else without
+def _combinations(parts: Sequence[Part]) -> list[Parts]:
+    """Return the combinations of steady parts, the smallest first; a rise's exponent needs the rise."""
+    steady = [part for part in parts if part is not Part.BRISTLE]
+    sets = [frozenset(some) for count in range(len(steady) + 1) for some in combinations(steady, count)]
+    lone = Part.STRIBECK in steady
+    return [some for some in sets if not (lone and Part.STRIBECK_EXPONENT in some and Part.STRIBECK not in some)]
+
+
+def _best(rows: FrictionRows, number: int, candidates: dict[Parts, _Fitted]) -> Parts:
+    """Return the parts of an element: from none on, the best of the smallest larger combinations that help."""
+    element_rows = rows.elements[number].rows
+    squares = {parts: float(candidate.squares[element_rows].sum()) for parts, candidate in candidates.items()}
+    best: Parts = frozenset()
+    for count in range(1, 1 + max(map(len, candidates))):
+        larger = [parts for parts in candidates if len(parts) == count and parts > best]
+        helpful = [
+            parts for parts in larger if _trial(rows, number, Part.STRIBECK, candidates[best], candidates[parts]).kept
+        ]
+        best = min(helpful, key=lambda parts: squares[parts], default=best)
+    return best
+
+
+def _trial(rows: FrictionRows, number: int, part: Part, before: _Fitted, after: _Fitted) -> Trial:
+    """Return what an element gains by what a richer candidate has."""
+    element_rows = rows.elements[number].rows
+    squares = before.squares[element_rows], after.squares[element_rows]
+    gain, deviation = held_out_gain(rows.block[element_rows], *squares)
+    return Trial(number, part, gain, deviation, after.bound(number))
+
+
+def _with_bristles(rows: FrictionRows, choice: Choice, tried: Sequence[int]) -> Choice:
+    """Return the choice with a bristle for each of some elements that predicts better with it."""
+    laws = list(choice.laws)
+    for number in tried:
+        laws[number] = replace(laws[number], parts=laws[number].parts | {Part.BRISTLE})
+    before = _Fitted(list(choice.laws), choice.fit, frozenset())
+    after = _Fitted([*laws], fit_laws(rows, laws, choice.fit.weight, before.values), frozenset(Part))
+    trials = [_trial(rows, number, Part.BRISTLE, before, after) for number in tried]
+    for trial in trials:
+        if not trial.kept:
+            laws[trial.element] = choice.laws[trial.element]
+    choice = replace(choice, trials=(*choice.trials, *trials))
+    if tuple(laws) == choice.laws:
+        return choice
+    known = [{name: values[name] for name in law.names} for law, values in zip(laws, after.values, strict=True)]
+    return without_bound_parts(rows, replace(choice, laws=tuple(laws), fit=fit_laws(rows, laws, None, known)))
 
 
 def without_bound_parts(rows: FrictionRows, choice: Choice) -> Choice:
@@ -131,7 +212,7 @@ def without_bound_parts(rows: FrictionRows, choice: Choice) -> Choice:
     laws = []
     for law, place in zip(choice.laws, places(choice.laws), strict=True):
         bad = [part for part in Part if part in law.parts and _at_bound(law, part, choice.fit, place)]
-        laws.append(_without(law, bad[-1]) if bad else law)
+        laws.append(replace(law, parts=_less(law.parts, bad[-1])) if bad else law)
     if tuple(laws) == choice.laws:
         return choice
     result = fit_laws(rows, laws, known=_known(choice.laws, laws, choice.fit))
@@ -146,26 +227,28 @@ def _known(before: Sequence[Law], laws: Sequence[Law], result: Fit) -> list[dict
 
 def _at_bound(law: Law, part: Part, result: Fit, place: slice) -> str:
     """Return the name of a parameter of a part that ends at a bound which it may not end at; "" if there is none."""
-    problem = result.problem
+    falls = part is Part.STRIBECK and _falls(law, result, place)
     for number, name in enumerate(law.names, place.start):
-        if not name.startswith(_OWN[part]):
-            continue
-        bad = bool(result.at_bound[number])
-        if name == "omega_s":
-            low = math.exp(problem.lower[number]) / LEAST_STRIBECK
-            high = math.exp(problem.upper[number])
-            slow, fast = law.curve(np.array([low, high]), result.x[place])[0]
-            bad |= math.exp(result.x[number]) > STEEP * high
-            bad &= bool(fast >= slow)
-        if bad:
-            return name
+        if name.startswith(_OWN[part]):
+            top = math.exp(result.problem.upper[number]) / MOST_STRIBECK
+            slope = name == "omega_s" and math.exp(result.x[number]) > STEEP * top
+            if (slope or result.at_bound[number]) and not (falls and (slope or name.startswith("tau_c"))):
+                return name
     return ""
 
 
-def _without(law: Law, part: Part) -> Law:
-    """Return the law without a part; the Stribeck exponent goes with the rise."""
-    gone = {part, Part.STRIBECK_EXPONENT} if part is Part.STRIBECK else {part}
-    return replace(law, parts=law.parts - gone)
+def _falls(law: Law, result: Fit, place: slice) -> bool:
+    """Return whether the friction of an element with a rise is less at its top speed than at its least."""
+    number = place.start + law.names.index("omega_s")
+    low = math.exp(result.problem.lower[number]) / LEAST_STRIBECK
+    high = math.exp(result.problem.upper[number]) / MOST_STRIBECK
+    slow, fast = law.curve(np.array([low, high]), result.x[place])[0]
+    return bool(fast < slow)
+
+
+def _less(parts: Parts, part: Part) -> Parts:
+    """Return parts without one; the Stribeck exponent goes with the rise."""
+    return parts - ({part, Part.STRIBECK_EXPONENT} if part is Part.STRIBECK else {part})
 
 
 def folds(result: Fit) -> Array:
@@ -206,9 +289,3 @@ def held_out_gain(block: Index, before: Array, after: Array) -> tuple[float, flo
     total = max(float(before.sum()), np.finfo(np.float64).tiny)
     deviation = np.sqrt(len(gain)) * float(np.std(gain, ddof=1)) if len(gain) > 1 else np.inf
     return 0.5 * float(gain.sum()) / total, 0.5 * deviation / total
-
-
-def _trial(rows: FrictionRows, element: int, part: Part, before: Array, after: Array) -> Trial:
-    own = rows.elements[element].rows
-    gain, deviation = held_out_gain(rows.block[own], before[own], after[own])
-    return Trial(element, part, gain, deviation)

@@ -37,8 +37,10 @@ LEAST_NOISE = 1e-9
 """Noise of a group over the largest target, at least: keeps the weights finite for data without noise."""
 RANK = 1e-9
 """Length of a column's new part over that of the column, below which it is a combination of the others."""
+SQUARED_RANK = 1e-7
+"""The same of derivatives that come from their squares, which are exact to 1e-8."""
 NEAR_BOUND = 1e-3
-"""Share of a range within which a parameter is at its bound."""
+"""Share of a range, or of the residuals' length, within which a parameter is at its bound."""
 TOLERANCE = 1e-8
 MOST_EVALUATIONS = 60
 """Of the model in one minimisation. Well-posed problems need about ten."""
@@ -148,18 +150,19 @@ def fit(problem: Problem, weight: Array | None = None) -> Fit:
     groups = int(problem.group.max(initial=-1)) + 1
     least = max(LEAST_NOISE * float(np.abs(problem.target).max(initial=0.0)), np.finfo(np.float64).tiny ** 0.25)
     spread = np.array([np.std(problem.target[problem.group == g]) for g in range(groups)])
-    noise = np.maximum(spread, least)
     x = problem.start
-    weight = 1.0 / noise[problem.group] ** 2
-    for _ in range(REWEIGHTINGS):
-        result = _fitted(problem, x, weight)
-        x = result.x
-        size = np.abs(result.residual)
+    linear = Projected(problem, 1.0 / np.maximum(spread, least)[problem.group] ** 2).linear(x)
+    residual = problem.target - problem.model(x)[0] - problem.linear @ linear
+    for _ in range(REWEIGHTINGS + 1):
+        size = np.abs(residual)
         noise = np.array([_noise(size[problem.group == g]) for g in range(groups)])
         noise = np.maximum(noise, least)
         over = HUBER * noise[problem.group] / np.maximum(size, np.finfo(np.float64).tiny)
         weight = np.minimum(1.0, over) / noise[problem.group] ** 2
-    return replace(_fitted(problem, x, weight), noise=noise, outlying=over < 1.0)
+        result = _fitted(problem, x, weight)
+        x = result.x
+        residual = result.residual
+    return replace(result, noise=noise, outlying=over < 1.0)
 
 
 def _noise(size: Array) -> float:
@@ -183,12 +186,15 @@ class Projected:
         self._kept = lru_cache(1)(self._at)  # residuals and derivatives are asked for at the same values
 
     def residual(self, x: Array) -> Array:
-        """Return the weighted residuals, then those of the parameters' prior."""
-        return self._kept(x.tobytes())[0]
+        """Return the residuals' components along the derivatives and their length across, shape (q + 1,).
+
+        Squares and gradient are those of all weighted residuals, which are many more.
+        """
+        return self._kept(x.tobytes())[:, 0]
 
     def jacobian(self, x: Array) -> Array:
-        """Return the derivatives of `residual`."""
-        return self._kept(x.tobytes())[1]
+        """Return the derivatives of `residual`, shape (q + 1, q)."""
+        return self._kept(x.tobytes())[:, 1:]
 
     def linear(self, x: Array) -> Array:
         """Return the best linear parameters."""
@@ -221,7 +227,7 @@ class Projected:
                 best[shown] = step.x / size
         return best
 
-    def _at(self, values: bytes) -> tuple[Array, Array]:
+    def _at(self, values: bytes) -> Array:
         problem = self._problem
         x = np.frombuffer(values)
         value, slopes = self._weighted(x)
@@ -233,7 +239,11 @@ class Projected:
             from_prior = np.eye(len(x))[known]
             rows = np.column_stack([x[known] - problem.start[known], from_prior]) / problem.spread[known, None]
             both = np.vstack([both, rows])
-        return both[:, 0], both[:, 1:]
+        length = np.linalg.norm(both, axis=0)
+        both /= np.where(length > 0.0, length, 1.0)
+        squares, directions = np.linalg.eigh(both.T @ both)
+        squares[squares < len(squares) * np.finfo(np.float64).eps * squares[-1]] = 0.0  # rounding
+        return np.asarray(np.sqrt(squares)[:, None] * directions.T * length)
 
     def _weighted(self, x: Array) -> tuple[Array, Array]:
         torque, slopes = self._problem.model(x)
@@ -292,11 +302,13 @@ def _fitted(problem: Problem, start: Array, weight: Array) -> Fit:
 
 
 def _at_bound(problem: Problem, x: Array, residual: Array, jacobian: Array) -> Mask:
-    """Return which parameters a bound holds: a Gauss-Newton step would pass it, or it is a thousandth away."""
+    """Return which parameters a bound holds: they are there, or a Gauss-Newton step of those that are not passes it."""
     size = _lengths(jacobian)
-    step = np.linalg.lstsq(jacobian / size, -residual, rcond=RANK)[0] / size
     width = problem.upper - problem.lower
-    margin = NEAR_BOUND * np.where(np.isfinite(width), width, 0.0)
-    passed = (x + step < problem.lower) | (x + step > problem.upper)
+    share = NEAR_BOUND * float(np.linalg.norm(residual)) / size  # of a torque without an upper bound
+    margin = np.where(np.isfinite(width), NEAR_BOUND * width, share)
     near = (x - problem.lower <= margin) | (problem.upper - x <= margin)
-    return np.asarray(passed | near)
+    free = ~near
+    step = np.zeros(len(x))
+    step[free] = np.linalg.lstsq(jacobian[:, free] / size[free], -residual, rcond=SQUARED_RANK)[0] / size[free]
+    return np.asarray(near | (x + step < problem.lower) | (x + step > problem.upper))

@@ -10,7 +10,7 @@ logarithm. With a bristle, the dry torque is that of its deflection along the mo
 stiffness is fitted by the logarithm of c0 over tau_c, the inverse of the presliding distance.
 
 Friction that falls with speed is a Stribeck rise with a velocity omega_s of the order of the top speed; omega_s is free
-up to the top speed with data. Such an element is passive at all speeds, as a negative c2 would not be.
+up to twice the top speed with data. Such an element is passive at all speeds, as a negative c2 would not be.
 """
 
 from __future__ import annotations
@@ -41,6 +41,8 @@ LONGEST_PRESLIDING = 0.3
 """Presliding distance tau_c / c0, rad, at most."""
 LEAST_STRIBECK = 1.0 / 3.0
 """Least Stribeck velocity over the least speed with data: a rise that has faded by then cannot be seen."""
+MOST_STRIBECK = 2.0
+"""Greatest Stribeck velocity over the greatest speed with data: such a rise is almost a straight line there."""
 BRISTLE_STEP = 1e-4
 """Step of the parameters of a bristle's motion, as they are fitted, for difference quotients."""
 _LEAST_COULOMB = 1e-9  # Nm, that a bristle's motion is divided by
@@ -111,7 +113,7 @@ class Law:
         low = max(speeds.low, 1e-6)
         shortest = min(speeds.presliding, 0.1 * LONGEST_PRESLIDING)
         ranges = {
-            "omega_s": (LEAST_STRIBECK * low, max(speeds.high, low)),
+            "omega_s": (LEAST_STRIBECK * low, MOST_STRIBECK * max(speeds.high, low)),
             "delta": DELTA_BOUNDS,
             "alpha": ALPHA_BOUNDS,
             "stiffness": (1.0 / LONGEST_PRESLIDING, 1.0 / shortest),
@@ -131,7 +133,7 @@ class Law:
         known = known or {}
         lower, upper = self.bounds(speeds)
         choices: dict[str, Sequence[float]] = {
-            "omega_s": (0.3, 0.55, 0.8),  # shares of the logarithm's range
+            "omega_s": (0.3, 0.55, 0.8, 1.0),  # shares of the logarithm's range
             "delta": (math.log(1.0), math.log(2.0)),
             "alpha": (math.log(0.7), 0.0),
             "stiffness": (0.3, 0.5, 0.7),

@@ -106,7 +106,9 @@ class ServoLoop:
             if slow:
                 if servo.law_changes:
                     servo.change_law(stamp_ns)
-                before = before.settle(servo)
+                if before.torque:
+                    servo.note_end_of_motion()
+                    before = before.settle(servo)
             self.state = before.tick(servo, states)
             if not (before.torque and self.state.torque):
                 return False
@@ -249,10 +251,9 @@ class ServoLoop:
         try:
             points = read()
         except TrajectoryError as error:
-            with self.between_ticks:
-                self.servo.refuse_set_points(source, error)
-            return
-        self.post(Streamed(points, source))
+            self.servo.refuse_set_points(source, error)
+        else:
+            self.post(Streamed(points, source))
 
     def _is_streamed(self, message: Any) -> bool:
         """Return whether a trajectory of the topic is a set-point of a stream: its end is as near as that of one."""
@@ -307,9 +308,8 @@ class ServoLoop:
             self.servo.note("the correction that waited belongs to another trajectory; dropped")
 
     def _refuse(self, kind: str, error: TrajectoryError) -> None:
-        with self.between_ticks:
-            self.servo.count_refusal(kind, error)
-            self.servo.complain(f"{kind} rejected: {error}")
+        self.servo.count_refusal(kind, error)
+        self.servo.complain(f"{kind} rejected: {error}")
 
     def report(self) -> None:
         """Print, publish and send what has come up; called after each `Outputs.wake`."""

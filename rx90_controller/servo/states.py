@@ -15,7 +15,7 @@ of a tick, is the next one. A request that is accepted replaces what is followed
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from rx90_common.base.errors import TrajectoryError
@@ -243,11 +243,6 @@ class Powered(ServoState):
 
     torque: ClassVar = True
 
-    def settle(self, servo: Servo) -> ServoState:
-        """Return what follows where a motion has come to its end, which is noted."""
-        servo.note_end_of_motion()
-        return self
-
     def tick(self, servo: Servo, states: MotorStates) -> Powered:
         """Run the loops that are due."""
         servo.cs7b.step(states.position, states.velocity, states.torque)
@@ -339,22 +334,16 @@ class Following(Powered):
 
     name: ClassVar = "following"
     request: TrajectoryRequest
-    watched: bool = field(init=False)
-
-    def __post_init__(self) -> None:
-        watched = self.request.is_goal or self.request.tolerances.end_motions
-        object.__setattr__(self, "watched", watched)
 
     def settle(self, servo: Servo) -> ServoState:
         """Hold the arm at the end of a trajectory that nobody watches."""
-        servo.note_end_of_motion()
-        return self if self.watched or servo.moving else Holding()
+        return self if self.request.watched or servo.moving else Holding()
 
     def watch(self, servo: Servo) -> ServoState:
         """End the request where its tolerances decide that."""
-        if not self.watched:
-            return self
         request = self.request
+        if not request.watched:
+            return self
         (tick, desired, actual) = servo.measure()
         request.step(tick, desired, actual, servo.trajectory)
         if not request.reason:
@@ -395,7 +384,6 @@ class Streaming(Powered):
 
     def settle(self, servo: Servo) -> ServoState:
         """Hold the arm once the stream is over."""
-        servo.note_end_of_motion()
         if servo.time <= self.stream.expires or servo.moving:
             return self
         self.leave(servo, "holding")
@@ -415,5 +403,4 @@ class Stopping(Powered):
 
     def settle(self, servo: Servo) -> ServoState:
         """Hold the arm once it rests."""
-        servo.note_end_of_motion()
         return self if servo.moving else Holding()

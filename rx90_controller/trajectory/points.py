@@ -16,7 +16,6 @@ from rx90_common.base.quoting import counted, quoted
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange.cdr import CdrReader
 from rx90_controller.trajectory.correction import Correction
-from rx90_controller.trajectory.spline import Spline
 
 LONGEST = 3600.0
 """The longest trajectory, s: each of its set-points is checked before it may start."""
@@ -32,8 +31,6 @@ _REPEATED_POSITION = 1e-4
 _REPEATED_VELOCITY = 1e-9
 _MIN_POINT_BYTES = 4 * len(POINT_FIELDS) + 8  # four empty sequences and a time
 
-Way = Spline
-
 
 @dataclass(frozen=True)
 class TrajectoryPoints:
@@ -47,7 +44,6 @@ class TrajectoryPoints:
         named: the joints that the points are for, shape (j,), all by default; the values of the others are 0 and
             without meaning.
         first: number of the first point in the received trajectory.
-        way: None; kept for programs that name it.
         smooth: whether only the velocities at both ends count, see `smoothed`.
         degrees: of the way to each point, shape (n,): 1, a straight line, where one of its two ends has no velocities,
             3, or 5 where both have accelerations, too; None where all are alike. Values that are not given are 0.
@@ -60,7 +56,6 @@ class TrajectoryPoints:
     acceleration: Array | None
     named: Mask = field(default_factory=lambda: np.ones(0, dtype=np.bool_))
     first: int = 0
-    way: Way | None = None
     smooth: bool = False
     degrees: NDArray[np.intp] | None = None
     correction: Correction | None = None

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum
+from functools import cached_property
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -144,7 +145,7 @@ class GoalTolerances:
         goal[1] = constraints.stopped_velocity_tolerance or math.inf
         return cls(tuple(names), path, goal, constraints.goal_time or math.inf)
 
-    @property
+    @cached_property
     def end_motions(self) -> bool:
         """Return whether they can end a motion before it reaches its goal."""
         return math.isfinite(self.goal_time) or bool(np.isfinite(self.path).any())
@@ -282,6 +283,11 @@ class TrajectoryRequest:
     def replaces(self) -> str:
         """Return why what it replaces ends."""
         return "pre-empted by a new goal" if self.is_goal else "replaced by a trajectory on the topic"
+
+    @property
+    def watched(self) -> bool:
+        """Return whether it is compared with its tolerances: as goals are, and trajectories that these can end."""
+        return self.is_goal or self.tolerances.end_motions
 
     @property
     def long(self) -> bool:

@@ -264,29 +264,19 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = _MAPPING
     parser.set_defaults(interrupted=_NOTHING_WRITTEN)
-    parser.add_argument("log", type=Path, metavar="LOG", help="log to read, or a folder with those of an export")
+    parser.add_argument("log", type=Path, metavar="LOG", help="log to read")
     parser.add_argument("bag", type=new_folder, metavar="BAG", help="bag to make; must not exist")
     _add_signals(parser)
 
 
 def _import(args: argparse.Namespace) -> None:
-    """Make a bag of joint states from a log in columns, CSV or separated by blanks; a signal map says what they hold.
-
-    Of a folder that `rx90 bag export` has written it makes the bag again.
-    """
+    """Make a bag of joint states from a log in columns, whose signal map says what they hold."""
     from rx90_common.bags.logs import read_log
     from rx90_common.bags.writing import write_joint_states
 
-    folder = args.log.is_dir()
-    logs = sorted(args.log.glob("*.csv")) if folder else [args.log]
-    if not logs or (folder and args.signals):
-        raise ConfigError(f"{plain(args.log)}: accepted: a folder with CSV files, each with its signal map, or a log")
-    mapping = _signals(args)
-    tables = [read_log(log, mapping) for log in logs]
-    write_joint_states(args.bag, tables)
-    for series in tables:
-        print(f"{plain(series.topic)}: {counted(len(series.stamp_ns), 'message')}")
-    print(f"bag: {plain(args.bag)}")
+    series = read_log(args.log, _signals(args))
+    write_joint_states(args.bag, [series])
+    print(f"{plain(series.topic)}: {counted(len(series.stamp_ns), 'message')}\nbag: {plain(args.bag)}")
 
 
 def _add_info(parser: argparse.ArgumentParser) -> None:

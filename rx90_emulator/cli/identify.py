@@ -81,8 +81,8 @@ def _add_excitation(parser: argparse.ArgumentParser) -> None:
                         "Stribeck rise nor the rows of reversals ask for them")  # fmt: skip
     parser.add_argument("--no-rotors", action="store_true", help="of an arm of --urdf: leave the inertias of rotors "
                         "out, for torques of sensors between gear and link")  # fmt: skip
-    _add_bandwidth(parser, "of the low-pass of the positions, a third of it for torques (twenty times the band of the "
-                   "motion)")  # fmt: skip
+    _add_bandwidth(parser, "of the low-pass of the positions, a third of it for torques (the widest with clean "
+                   "accelerations)")  # fmt: skip
     add_force(parser)
     _add_tolerances(parser, RECORDED.torque, RECORDED.total)
     add_arm_arguments(parser)

@@ -78,14 +78,14 @@ def identify_excitation(
         robot: that the bags come from; by default this project's.
         validation: runs to predict, which the identification does not use.
         tolerances: limits for agreement with them, all or some by name; the others are those of RECORDED.
-        bristles: whether bristles along the motion are tried; a trial takes several times as long as all other parts.
+        bristles: whether they are tried where no Stribeck rise was found, too.
         model: parts that all elements have, without selection: "coulomb-viscous", which every model contains, and the
             names in `options.MODEL_PARTS`; by default parts are selected by prediction. Only a part that ends at a
             bound is dropped.
         rotors: whether the recorded torques contain those of the rotors; torques of sensors between gear and link do
             not.
-        bandwidth: of the low-pass of the positions, Hz; that of the torque is a third of it. By default twenty times
-            the band of the motion.
+        bandwidth: of the low-pass of the positions, Hz; that of the torque is a third of it. By default the widest in
+            which the accelerations are clean. Errors are stated in the motion's band.
         progress: called with the name of each step before it.
 
     Returns:
@@ -112,11 +112,14 @@ def identify_excitation(
     given = replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source))
     sanity = alarms(source.arm, Recorded.of(records["excitation"], source.arm), given, source.zero)
     progress("friction")
-    fitted = fit_arm(problem, parts, progress, fixed=model is not None)
+    fitted = fit_arm(problem, parts, progress, fixed=model is not None, bristles=bristles)
     progress("consistent inertias")
     consistency = make_consistent(problem, fitted, source, robot)
     arm = written_arm(problem, consistency)
     bodies = moved_bodies(source.arm, arm)
+    motion = Bandwidths.of_motion(records["excitation"])
+    compared = motion._replace(position=bandwidths.position, torque=min(motion.torque, bandwidths.torque))
+    stated = problem.other([run for record in records["excitation"] for run in filtered_runs(record, source, compared)])
     result = ExcitationIdentification(
         robot=source,
         problem=problem,
@@ -124,7 +127,8 @@ def identify_excitation(
         elements=identified_elements(problem, fitted, source.fallback),
         base=base_parameters(problem, fitted, consistency),
         consistency=consistency,
-        torques=run_torques(problem, problem.torque - fitted.fit.residual),
+        compared=compared,
+        torques=run_torques(stated, fitted.predicted(stated)),
         bodies=bodies,
         alarms=(*log_alarms(records), *sanity, *body_alarms(bodies)),
         notes=tuple(notes),
@@ -149,7 +153,7 @@ def _validation(
     tolerances: ValidationTolerances,
 ) -> Validation:
     """Return the verdict of a run that the identification did not use, all predictions on the same rows."""
-    bandwidths = validation_bandwidths(record, result.problem.runs[0].bandwidths)
+    bandwidths = validation_bandwidths(record, result.compared)
     unseen = result.problem.other(filtered_runs(record, result.robot, bandwidths))
 
     def torques(predicted: Array) -> RunTorques:
@@ -196,7 +200,7 @@ def log_warnings(problem: ExcitationProblem, held: Sequence[str] = ()) -> list[s
 def _requested_parts(*, bristles: bool, model: Sequence[str] | None) -> tuple[Part, ...]:
     """Return the parts of the friction to try, or those of a model that is given."""
     if model is None:
-        return (*TRIED, Part.BRISTLE) if bristles else TRIED
+        return TRIED
     if bristles:
         raise IdentificationError("--bristles with --model; accepted: --model with bristle among its parts")
     names = model_parts(model)
@@ -264,7 +268,7 @@ def excitation_problem(
     Args:
         bags: bags or tables.
         robot: that the bags come from; by default this project's.
-        bandwidths: of the filters; by default twenty times the motion's. Those of `identify_excitation` are
+        bandwidths: of the filters; by default the widest with clean accelerations. Those of `identify_excitation` are
             `result.problem.runs[0].bandwidths`.
 
     Raises:

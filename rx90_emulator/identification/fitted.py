@@ -28,14 +28,16 @@ from rx90_emulator.identification.estimates import (
 )
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
 
-TRIED = (Part.EXPONENT, Part.STRIBECK)
-"""Parts of the friction that runs are asked for, with delta = 1; bristles on request, for few runs tell them."""
+TRIED = (Part.STRIBECK, Part.EXPONENT, Part.BRISTLE)
+"""Parts of the friction that runs are asked for, with delta = 1."""
 ROWS_PER_PARAMETER = 2.0
 """Of the simplest model, from which parts are chosen: fewer rows predict nothing."""
 MOST_RELATIVE_DEVIATION = 0.5
 """Of omega_s, delta, alpha, c0 and c1, up to which they are identified."""
 PRESLIDING_DISTANCE = 2.5e-4
 """rad, at break-away where no c0 is known: that of the shipped RX90B's large joints."""
+LEAST_SHARE = 1e-3
+"""tau_c over tau_s of friction that falls to none at last: an element has some."""
 RELAXATION = 1e-3
 """s, c1 over c0 where no c1 is known, as there."""
 ASSUMED = "no file: bristles that break away after 0.25 mrad are assumed, and the least Coulomb torque of the others"
@@ -150,6 +152,7 @@ def fit_arm(
     progress: Callable[[str], None] = lambda _: None,
     *,
     fixed: bool = False,
+    bristles: bool = False,
 ) -> FittedArm:
     """Fit rigid body and friction together.
 
@@ -158,6 +161,7 @@ def fit_arm(
         parts: to try beside Coulomb and viscous friction.
         progress: called with the name of each part before its trial.
         fixed: whether all elements have the parts, without a choice.
+        bristles: whether they are tried where no Stribeck rise was found, too.
     """
     rows = problem.friction_rows()
     if fixed:
@@ -166,7 +170,7 @@ def fit_arm(
         chosen = without_bound_parts(rows, Choice(tuple(laws), fit_laws(rows, laws), ()))
     else:
         tried = parts if len(problem) >= ROWS_PER_PARAMETER * problem.parameters else ()
-        chosen = choose(rows, tried, [Law()] * len(rows.elements), progress)
+        chosen = choose(rows, tried, [Law()] * len(rows.elements), progress, everywhere=bristles)
     known = law_deviations(rows, chosen.laws, chosen.fit, tried)
     return FittedArm(
         arm=problem.arm,
@@ -227,10 +231,11 @@ def _element(fitted: FittedArm, number: int, other: FrictionElement | None, leas
         law = Law()
         x = np.zeros(len(law.names))
     coulomb = law.names.index("tau_c")
+    static = law.natural(x)[0].get("tau_s_positive", float(x[coulomb]))
     if x[coulomb] <= 0.0:
         x = x.copy()
-        x[coulomb] = least if other is None else other.tau_c.positive
-    stiffness = float(x[coulomb]) / PRESLIDING_DISTANCE
+        x[coulomb] = LEAST_SHARE * static or (least if other is None else other.tau_c.positive)
+    stiffness = max(static, float(x[coulomb])) / PRESLIDING_DISTANCE
     assumed: dict[str, float] = {"c0": stiffness, "c1": stiffness * RELAXATION}
     if other is not None:
         assumed = {"c0": other.c0, "c1": other.c1, "omega_d": other.omega_d}

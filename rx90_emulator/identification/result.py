@@ -18,6 +18,7 @@ from rx90_emulator.identification.presliding import PreslidingFit
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
+from rx90_emulator.identification.rows.filtering import Bandwidths
 from rx90_emulator.identification.sanity import MovedBodies
 from rx90_emulator.identification.sliding import SlidingFit
 from rx90_emulator.identification.validation.prediction import Validation
@@ -164,6 +165,7 @@ class ExcitationIdentification(Identification):
         fitted: laws of friction and base parameters, with deviations.
         base: linear parameters beside friction.
         consistency: possible inertias near these.
+        compared: bandwidths in which torques are compared: the motion's, whatever those of the fit are.
         torques: recorded and predicted, of each run that was used.
         bodies: what each joint moves, by the description and by the robot's files.
         notes: what was bridged in the recordings, and what they cannot determine.
@@ -173,6 +175,7 @@ class ExcitationIdentification(Identification):
     fitted: FittedArm
     base: tuple[BaseParameter, ...]
     consistency: Consistency
+    compared: Bandwidths
     torques: tuple[RunTorques, ...]
     bodies: tuple[MovedBodies, ...]
     notes: tuple[str, ...] = ()

@@ -90,7 +90,7 @@ def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = Non
         commands=tuple(commands),
         initial_position=initial_position,
         duration=last / NANOSECONDS + setup.rates.position_period,
-        changed=tuple(sorted({change.name for change in read_changes(bag) if change.name.startswith(OF_LAW)})),
+        changed=tuple(sorted({name for name in read_changes(bag) if name.startswith(OF_LAW)})),
         given=tuple(sorted(name for name, value in values.items() if _is_other(name, value, setup.controller))),
         seed=values.get(SEED),
     )

@@ -270,7 +270,7 @@ def _bandwidths(record: JointRecord, setup: Setup, bandwidth: float | None, *, h
             position, position / 3.0, "the set-points are in the bag, so no noise of positions is in them"
         )
     if bandwidth is None:
-        return Bandwidths.of([record]).at_most(highest, f"{_MAX_BANDWIDTH_SHARE:g} of the position loop's rate")
+        return Bandwidths.of_motion([record]).at_most(highest, f"{_MAX_BANDWIDTH_SHARE:g} of the position loop's rate")
     if not 0.0 < bandwidth <= highest:
         raise IdentificationError(f"--bandwidth is {bandwidth:g} Hz; accepted: above 0, up to {highest:g} Hz")
     return Bandwidths(bandwidth, bandwidth / 3.0)

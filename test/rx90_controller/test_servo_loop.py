@@ -19,7 +19,6 @@ from rx90_controller.trajectory.request import (
     Feedback,
     GoalTolerances,
     JoinedAhead,
-    State,
     TrajectoryRequest,
 )
 from rx90_emulator.loop.setup import Setup
@@ -196,36 +195,6 @@ def offer(rig: Rig, target: float) -> Sender:
     sender = Sender()
     rig.loop.offer(rig.goal(rig.trajectory(target), sender))
     return sender
-
-
-def test_a_goal_ends_with_what_ends_its_motion(rig: Rig) -> None:
-    """A fault, new states, torque off, a trajectory on the topic: each gives INVALID_GOAL and the reason, once."""
-    rig.loop.hold(rig.states(0))
-    faulty = offer(rig, 0.7)
-    rig.run(0, 4000)  # the motors stand still: the following error becomes too large
-    assert len(faulty.feedback) > 5
-    begun = offer(rig, 0.1)  # while the power is off
-    rig.loop.enable(True)
-    rig.run(4000, 4)
-    renewed = offer(rig, 0.1)
-    rig.loop.hold(rig.states(8000))
-    switched = offer(rig, 0.1)
-    rig.run(8000, 400)
-    rig.loop.enable(False)
-    rig.loop.enable(True)
-    early = offer(rig, 0.1)  # waits for the next tick, in which the arm is held anew
-    rig.run(8400, 4)
-    replaced = offer(rig, 0.1)
-    rig.loop.receive(rig.trajectory(0.05))
-    ends = [sender.ends for sender in (faulty, begun, renewed, switched, early, replaced)]
-    assert [[(end.state, end.code) for end in told] for told in ends] == [[(State.ABORTED, -1)]] * 6
-    words = (
-        "following error", "accepted: after a call of ~/enable with true", "the states go on from 2 s; holding",
-        "the torque is off", "pre-empted by a new goal", "replaced by a trajectory on the topic",
-    )  # fmt: skip
-    assert not any("rejected" in line for line in rig.around.lines)  # the results say it
-    for told, text in zip(ends, words, strict=True):
-        assert text in told[0].reason
 
 
 def ticks_to(error: float, target: float = 0.1) -> int:

@@ -2,28 +2,37 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+import copy
 from typing import Any
 from unittest import mock
 
 import numpy as np
 import pytest
-from goal_arm import LIMITS, Law
-from joint_moves import HOME, NAMES, PERIOD
+from goal_arm import LIMITS, Law, message
+from joint_moves import HOME, NAMES, PERIOD, ZERO, stamp, trajectory
 from numpy.random import Generator
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.errors import TrajectoryError
 from rx90_controller.law.cs7b import DriveFault
 from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.servo.events import Begin, Cancel, GiveUp, Offer, Streamed, TorqueSwitch
 from rx90_controller.servo.servo import MotorStates
-from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
-from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, State, TrajectoryRequest
+from rx90_controller.trajectory import TrajectoryGenerator
+from rx90_controller.trajectory.request import (
+    GoalOptions,
+    GoalTolerances,
+    JoinedAhead,
+    State,
+    TrajectoryRequest,
+    check_request,
+)
 from rx90_controller.trajectory.stream import INTERFACES, SetPoints
 from rx90_emulator.loop.setup import Setup
 from tools.controller_states import EVENTS, PAGE, SITUATIONS, answers, page
 
-SEQUENCES, LENGTH = 6000, 8
+SEQUENCES, LENGTH = 6000, 6
+TOLERANCES = GoalTolerances.of_parameters(NAMES)
 
 REFUSED = dict.fromkeys(("goal", "trajectory", "stop", "set-point"), "= refused")
 PREEMPTED = dict.fromkeys(("goal", "trajectory", "stop"), "= waits; goal aborted")
@@ -80,6 +89,25 @@ def test_each_event_in_each_state_has_its_answer_and_the_page_says_so(shipped: S
     assert text == page(text, found), "run python -m tools.controller_states"
 
 
+def damage(random: Generator, sent: Any) -> None:
+    """Break one thing of a trajectory."""
+    point = sent.points[random.integers(len(sent.points))]
+    strange = [np.nan, np.inf, -np.inf, 1e300, -1e300, 1e-300]
+    match random.integers(0, 6):
+        case 0:
+            point.positions[0] = random.choice(strange)
+        case 1:
+            point.velocities = [random.choice(strange)] * len(sent.joint_names)
+        case 2:
+            point.positions.append(0.0)
+        case 3:
+            sent.joint_names[0] = random.choice(["", "elbow", NAMES[0], "\0"])
+        case 4:
+            sent.points.append(copy.deepcopy(point))
+        case _:
+            point.time_from_start = stamp(random.choice([-1.0, 0.0, 1e-9, 3e9]))
+
+
 class Drives(Law):
     """A law without torques, at one tick a millisecond; the motors are where the set-points are."""
 
@@ -95,6 +123,7 @@ class Drives(Law):
     def reset(self, position: Array, tick: int) -> None:
         """Hold the motors."""
         self.fault = None
+        self.setpoint = np.array([position, ZERO, ZERO])
         self.trajectory.reset(position)
         self.position_tick = tick
 
@@ -128,7 +157,7 @@ class Play:
         """Let states come that follow no others."""
         self.loop.post(Begin(int(self.random.integers(0, 10)) * 1_000_000, self.law.setpoint[0]))
         self.started, self.released = True, False
-        self.setpoints = [np.array([self.law.setpoint[0], 0 * HOME, 0 * HOME])]
+        self.setpoints = [self.law.setpoint]
 
     def ticks(self) -> None:
         """Run ticks: there is torque if it is on, but in the first one after it was off."""
@@ -139,7 +168,7 @@ class Play:
             self.law.broken = broken and i == count - 1 and self.on and not self.released
             expected = self.on and not self.released and not self.law.broken
             self.on = self.on and not self.law.broken
-            states = MotorStates(self.law.tick * 1_000_000, self.law.setpoint[0], 0 * HOME)
+            states = MotorStates(self.law.tick * 1_000_000, self.law.setpoint[0], ZERO)
             assert self.loop.step(states.stamp_ns, states) == expected
             self.loop.after_command(states.stamp_ns)
             self.released = False
@@ -147,15 +176,18 @@ class Play:
                 self.setpoints.append(self.law.setpoint)
             else:
                 self.check()
-                self.setpoints = [np.array([self.law.setpoint[0], 0 * HOME, 0 * HOME])]
+                self.setpoints = [self.law.setpoint]
         self.check()
 
     def check(self) -> None:
         """Check the set-points since the last time."""
         path = np.array(self.setpoints)
         assert (np.abs(path[:, 0]) <= LIMITS.upper).all()
-        assert (np.abs(path[:, 1]) <= LIMITS.velocity * (1 + 1e-6)).all()
-        assert (np.abs(np.diff(path[:, 1], axis=0)) <= LIMITS.acceleration * PERIOD * (1 + 1e-6)).all()
+        assert (np.abs(path[:, 1]) <= LIMITS.velocity * (1 + 2e-3)).all()
+        most = LIMITS.acceleration * PERIOD * (1 + 2e-3)
+        assert (np.abs(np.diff(path[:, 1], axis=0)) <= most).all()
+        moved = np.diff(path[:, 0], axis=0) - 0.5 * PERIOD * (path[1:, 1] + path[:-1, 1])
+        assert (np.abs(moved) <= 0.25 * PERIOD * most).all()
         self.setpoints = [path[-1]]
 
     def switch(self) -> None:
@@ -168,22 +200,48 @@ class Play:
 
     def offer(self) -> None:
         """Offer a goal, a trajectory or a stop, many of which cannot be followed: then the motion stays."""
-        scale, count = self.random.choice([0.02, 0.5, 3.0]), int(self.random.integers(0, 3))
-        times = np.cumsum(self.random.uniform(0.01, 0.4, count))
-        points = TrajectoryPoints(times, HOME + self.random.uniform(-scale, scale, (count, 6)), None, None)
-        tolerances = GoalTolerances(NAMES, np.full((3, 6), np.inf), np.full((3, 6), np.inf), np.inf)
-        message = SimpleNamespace(header=SimpleNamespace(frame_id=""))
-        start = None if self.random.random() < 0.7 else int(self.law.tick + self.random.integers(-20, 40))
-        is_goal = bool(count and self.random.random() < 0.6)
-        request = TrajectoryRequest(message, points if count else None, start, tolerances, GoalOptions(), is_goal)
-        if is_goal:
+        request = self.request()
+        if request is None:
+            return
+        if request.is_goal:
             request.on_result = lambda: self.ends.append(request)
             self.goals.append(request)
-        revision = self.law.trajectory.revision
-        self.loop.post(Offer(request))
-        assert (self.law.trajectory.revision != revision) == (
-            request.state is not State.ABORTED and self.loop.state.torque
-        )
+        if request.points is not None and self.loop.state.torque and self.random.random() < 0.2:
+            joined = JoinedAhead(request, self.law.trajectory, self.law.tick)
+            joined.compute()
+            self.ticks()
+            self.loop.post(Offer(request, joined))
+        if request.state is State.RECEIVED:
+            revision = self.law.trajectory.revision
+            self.loop.post(Offer(request))
+            followed = request.state is not State.ABORTED and self.loop.state.torque
+            assert (self.law.trajectory.revision != revision) == followed
+        assert "\n" not in request.reason
+
+    def request(self) -> TrajectoryRequest | None:
+        """Return a request with or without points; None for a message that is refused, with a reason, by itself."""
+        random = self.random
+        options = GoalOptions(**{name: bool(random.integers(0, 2)) for name in GoalOptions.model_fields})
+        names = list(random.permutation(NAMES))[: random.integers(1, 12) if options.allow_partial_joints_goal else 6]
+        n, kind, is_goal = len(names), random.integers(0, 3), bool(random.random() < 0.6)
+        times = np.cumsum(random.uniform(0.02, 0.6, random.integers(int(is_goal), 5)))
+        scale = random.choice([0.02, 0.1, 0.5])
+        places, speeds, bends = random.uniform(-scale, scale, (3, len(times), n))
+        if not options.allow_nonzero_velocity_at_trajectory_end or random.random() < 0.5:
+            speeds[-1:] = 0.0
+        places += [HOME[NAMES.index(name)] for name in names]
+        start = max(0.0, self.law.tick * PERIOD + random.uniform(-0.1, 0.1)) if random.random() < 0.4 else 0.0
+        rows = (speeds[: len(times) * (kind > 0)], bends[: len(times) * (kind > 1)])
+        sent = trajectory(times, places, *rows, start=start, names=names)
+        if len(times) and random.random() < 0.2:
+            damage(random, sent)
+        try:
+            return check_request(sent, TOLERANCES, options, 1000, message() if is_goal else None)
+        except TrajectoryError as error:
+            reason = str(error)
+        assert reason
+        assert "\n" not in reason
+        return None
 
     def stream(self) -> None:
         """Send a set-point near the arm, or far away."""

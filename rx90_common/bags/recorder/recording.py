@@ -10,7 +10,7 @@ import numpy as np
 import rclpy
 from rclpy.context import Context
 
-from rx90_common.bags.ordering import Entry, LogOrder
+from rx90_common.bags.ordering import Dated, LogOrder
 from rx90_common.bags.recorder.stream import Stream, Streams, TopicCount
 from rx90_common.bags.writing import BagWriter
 from rx90_common.base.quoting import counted
@@ -90,17 +90,16 @@ def _record(streams: Streams, order: LogOrder, writer: BagWriter, stop: StopRequ
             _write(streams, writer, order.release(time.monotonic_ns()))
 
 
-def _write(streams: Iterable[Stream], writer: BagWriter, entries: Sequence[Entry]) -> None:
+def _write(streams: Iterable[Stream], writer: BagWriter, dated: Dated | None) -> None:
     """Announce to the bag the topics found since the last call, in their order, and write messages."""
     numbers: dict[int, int] = {}
     for stream in streams:
         if stream.number is None:
             stream.number = writer.add_topic(stream.topic, stream.msgtype, stream.qos, stream.types)
         numbers[stream.source.topic] = stream.number
-    if entries:
-        number = np.array([numbers[entry.topic] for entry in entries])
-        log_ns = np.array([entry.log_ns for entry in entries])
-        writer.write_many(number, log_ns, [entry.message for entry in entries])
+    if dated is not None:
+        number = np.array([numbers[place] for place in dated.topic.tolist()])
+        writer.write_many(number, dated.log_ns, dated.messages.tolist())
 
 
 def read(streams: Iterable[Stream], order: LogOrder) -> None:

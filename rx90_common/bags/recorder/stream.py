@@ -141,15 +141,17 @@ class Streams:
 
     def discover(self) -> bool:
         """Subscribe to the topics that have appeared; return whether all are matched."""
-        for place, topic in enumerate(self._found):
+        for place, (topic, stream) in enumerate(self._found.items()):
+            if stream is not None:
+                continue
             # A topic that is only listened to, such as a controller's trajectories, has a type too; its
             # publishers come and go, and the first message must not be missed.
             publishers = self._node.get_publishers_info_by_topic(topic)
             endpoints = publishers or self._node.get_subscriptions_info_by_topic(topic)
-            if endpoints and self._found[topic] is None:
-                stream = Stream(self._node, topic, place, endpoints, published=bool(publishers))
-                self._batching.include(stream.subscription)
-                self._found[topic] = stream
+            if endpoints:
+                added = Stream(self._node, topic, place, endpoints, published=bool(publishers))
+                self._batching.include(added.subscription)
+                self._found[topic] = added
         return not self.missing()
 
     def missing(self) -> list[str]:

@@ -184,7 +184,7 @@ def robot_texts(
         raise IdentificationError("inertial parameters that are not finite; nothing is written")
     names = arm.element_names if base is None else base.turning.element_names(arm.names)
     noted = zip(arm.element_names, names, strict=True)
-    bandwidths = result.problem.runs[0].bandwidths
+    bandwidths = result.compared
     speeds = zip(names, result.fitted.speeds, strict=True)
     facts = FileFacts(
         fallback=result.robot.fallback_name or ASSUMED,

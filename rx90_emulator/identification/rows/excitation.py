@@ -29,10 +29,10 @@ from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
 TIME_BLOCKS = 20
 """Of all runs together: long beside the time in which residuals are correlated, and enough for a deviation."""
 SLOW_SPEED = 0.05
-"""rad/s: below it, or a tenth of the usual speed, an element is near a reversal or at rest. On real arms, rows below it
+"""rad/s: below it, or a quarter of the usual speed, an element is near a reversal or at rest. On real arms, such rows
 pull Coulomb friction 10 to 25 % low."""
-SLOW_SHARE = 0.1
-"""Of the usual speed."""
+SLOW_SHARE = 0.25
+"""Of the usual speed: a slow arm keeps most of its rows."""
 PAUSE_SHARE = 0.5
 """Share of a slow stretch below a quarter of the threshold from which it is a pause; of a reversal it is a quarter."""
 STOP_SHARE = 0.1

@@ -6,8 +6,10 @@ fifth of the sampling rate, the spline less than a hundredth). The torque does n
 low-pass together with all columns of the model (Gautier 1997, "Dynamic identification of robots with power model":
 parallel filtering), so that the filter distorts both sides of the equation in the same way.
 
-The bandwidths follow from the motion alone (Gautier's rule), so that two runs of the same motion, and two models of one
-run, are compared in the same band. Gaps that are short beside the bandwidth hide no motion and are bridged.
+A fit takes the widest band in which the positions' noise leaves the accelerations clean: rise and bristle of a friction
+show within milliseconds of a reversal, however slow the motion is, and what a narrower band blurs biases all else.
+Errors are stated in a band that follows from the motion alone (Gautier's rule), so that runs of the same motion, and
+models of one run, are compared in the same band. Gaps that are short beside the bandwidth hide no motion.
 """
 
 from __future__ import annotations
@@ -34,7 +36,12 @@ FILTER_ORDER = 4
 STOPBAND_DB = 60.0
 """Of the parallel filter beyond twice its bandwidth."""
 POSITION_OVER_MOTION = 20.0
-"""Bandwidth of the positions over the motion's: the torque's is then 6.7 times it, where Gautier's rule is 5 to 10."""
+"""Least bandwidth of the positions over the motion's: the torque's is 6.7 times it, where Gautier's rule is 5 to 10."""
+ACCELERATION_NOISE = 0.1
+"""Of a joint's RMS acceleration, that the positions' noise may have in their band. It grows with the band to the power
+2.5, and a fiftieth of it passes the torque's low-pass: an inertia appears too small by the square of that."""
+MOST_ROWS = 30_000
+"""Of all joints and runs, for which the torque's band ends earlier: more say little more, and take their time."""
 POSITION_OVER_TORQUE = 3.0
 """Where the torque's low-pass ends, the positions' filter has hardly begun: gain 0.96."""
 SIGNAL_OVER_FLOOR = 10.0
@@ -79,7 +86,7 @@ class Bandwidths(NamedTuple):
 
     @classmethod
     def of(cls, records: Sequence[JointRecord], given: float | None = None) -> Bandwidths:
-        """Return the bandwidths for records: twenty times the motion's band.
+        """Return the bandwidths for a fit: the widest with clean accelerations, and twenty times the motion's or more.
 
         Args:
             records: of one robot.
@@ -89,11 +96,31 @@ class Bandwidths(NamedTuple):
             if not 0.0 < given < math.inf:
                 raise IdentificationError(f"--bandwidth is {given:g} Hz; accepted: a number above 0")
             return cls(given, given / POSITION_OVER_TORQUE)
-        band = float(np.median([motion_band(record) for record in records]))
-        wanted = POSITION_OVER_MOTION * band
-        highest = MOST_OF_RATE * min(_rate(record.time) for record in records)
-        position = min(wanted, highest)
-        reason = f"{POSITION_OVER_MOTION:g} times the motion's band of {band:.3g} Hz"
+        bands = np.median([record_bands(record) for record in records], axis=0)
+        duration = sum(float(record.time[-1] - record.time[0]) for record in records)
+        rows = POSITION_OVER_TORQUE * MOST_ROWS / (ROWS_PER_HZ * duration * int(moving_joints(records).sum()))
+        least = cls._of_motion(records, float(bands[0]))
+        limits = {
+            "the widest in which the positions' noise leaves the accelerations clean": float(bands[1]),
+            f"that of {MOST_ROWS} rows": rows,
+            f"{MOST_OF_RATE:g} of the sampling rate": _highest(records),
+        }
+        reason = min(limits, key=lambda name: limits[name])
+        position = limits[reason]
+        if position <= least.position:
+            return least
+        return cls(position, position / POSITION_OVER_TORQUE, f"{reason}; the torque gets a third of it")
+
+    @classmethod
+    def of_motion(cls, records: Sequence[JointRecord]) -> Bandwidths:
+        """Return the bandwidths in which errors are stated: twenty times the motion's band."""
+        return cls._of_motion(records, float(np.median([record_bands(record)[0] for record in records])))
+
+    @classmethod
+    def _of_motion(cls, records: Sequence[JointRecord], motion: float) -> Bandwidths:
+        wanted = POSITION_OVER_MOTION * motion
+        position = min(wanted, _highest(records))
+        reason = f"{POSITION_OVER_MOTION:g} times the motion's band of {motion:.3g} Hz"
         if position < wanted:
             reason += f", no more than {MOST_OF_RATE:g} of the sampling rate"
         return cls(position, position / POSITION_OVER_TORQUE, f"{reason}; the torque gets a third of it")
@@ -117,8 +144,15 @@ def moving_joints(records: Sequence[JointRecord]) -> Mask:
     return np.asarray(moving)
 
 
-def motion_band(record: JointRecord) -> float:
-    """Return the frequency below which a run has 95 % of its velocities' power, Hz."""
+def _highest(records: Sequence[JointRecord]) -> float:
+    return MOST_OF_RATE * min(_rate(record.time) for record in records)
+
+
+def record_bands(record: JointRecord) -> tuple[float, float]:
+    """Return two frequencies, Hz: up to it a run has 95 % of its velocities' power; up to it accelerations are clean.
+
+    The latter is that of the joint in the middle.
+    """
     start, stop = max(_pieces(record.time), key=lambda piece: piece[1] - piece[0])
     if stop - start < LEAST_SAMPLES:
         samples = counted(stop - start, "sample")
@@ -134,9 +168,13 @@ def motion_band(record: JointRecord) -> float:
     quiet = maximum_filter1d(power, 5, axis=0) < SIGNAL_OVER_FLOOR * floor
     quiet &= frequency[:, None] > frequency[np.argmax(power, axis=0)]
     noise = np.cumsum(quiet, axis=0) > 0
-    velocity = np.cumsum(np.where(noise, 0.0, power) * frequency[:, None] ** 2, axis=0)
-    total = np.sum(velocity / np.maximum(velocity[-1], np.finfo(np.float64).tiny), axis=1)
-    return float(frequency[max(1, np.searchsorted(total, MOTION_POWER * total[-1]))])
+    power = np.where(noise, 0.0, power)
+    tiny = np.finfo(np.float64).tiny
+    velocity = np.cumsum(power * frequency[:, None] ** 2, axis=0)
+    total = np.sum(velocity / np.maximum(velocity[-1], tiny), axis=1)
+    acceleration = np.sum(power * frequency[:, None] ** 4, axis=0) * (frequency[1] - frequency[0])
+    clean = (5.0 * ACCELERATION_NOISE**2 * acceleration / np.maximum(floor, tiny)) ** 0.2
+    return float(frequency[max(1, np.searchsorted(total, MOTION_POWER * total[-1]))]), float(np.median(clean))
 
 
 @dataclass(frozen=True, eq=False)

@@ -171,7 +171,7 @@ def _is_simulated(record: JointRecord, robot: RecordedRobot) -> bool:
 def validation_bandwidths(record: JointRecord, chosen: Bandwidths | None) -> Bandwidths:
     """Return the bandwidths of an identification, limited by the bag's rate; without one, those of the bag."""
     if chosen is None:
-        return Bandwidths.of([record])
+        return Bandwidths.of_motion([record])
     return chosen.at_most(
         _MAX_BANDWIDTH_OVER_RATE / record.period, f"{_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate"
     )

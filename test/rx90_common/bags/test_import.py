@@ -28,6 +28,7 @@ names: [a, b]
 position: {columns: [2, 3], unit: rad}
 """
 NAMED = "time: {column: t, unit: s}\nnames: [a]\nposition: {columns: [q], unit: rad}\n"
+EXPORTED = PLAIN.replace("header: 0", "header: 1")
 SEMICOLON = 'delimiter: ";"\n'
 COMMA = SEMICOLON + 'decimal: ","\n'
 BLANKS = "delimiter: space\n"
@@ -160,7 +161,6 @@ TWICE = (PLAIN.partition("header")[2], PLAIN.partition("header")[2].replace(": 0
         (("rad", "rad, factor: [1, 0]"), b"1,2,3", "position.factor[1] is 0; accepted: a finite number other than 0"),
         (("[2, 3]", "[2, 2]"), b"1,2,3", "position.columns is [2, 2]; accepted: a list of columns, one for each name"),
         (("[a, b]", '[a, "b\\0"]'), b"1,2,3", "names is ['a', 'b\\x00']; accepted: a list of texts"),
-        (("names", "topic: 1x\nnames"), b"1,2,3", "topic is '1x'; accepted: a name as ROS"),
         (HEADED, b"0,1,2\n1,2,3\n", "log.csv: no names in line 1; accepted: header, their line, or 0 for none"),
         (TWICE, b"t,qb,qb\n1,2,3", "log.csv: more than one column 'qb'; there are t, qb, qb, 1, 2, 3"),
         (HEADED, b"t,a,b\n", "log.csv: "),
@@ -230,7 +230,9 @@ def test_efforts_in_amperes_stay_amperes(tmp_path: Path, capsys: pytest.CaptureF
         assert (tables / "joint_states.csv").read_text().splitlines()[0] == f"time [s],a {label},b {label}"
         export_bag(folder / "bag", folder / "a.npz")
         assert f"effort_{label[8:-1]}" in np.load(folder / "a.npz")
-        assert run("rx90 bag", ["import", str(tables), str(again)]) == 0
+        signals = write(folder / "tables.yaml", EXPORTED.replace("position", "effort").replace("rad", label[8:-1]))
+        words = ["import", str(tables / "joint_states.csv"), str(again), "--signals", str(signals)]
+        assert run("rx90 bag", words) == 0
         assert run("rx90 bag", ["compare", str(folder / "bag"), str(again)]) == 0
         assert run("rx90 bag", ["info", str(again)]) == 0
         assert ("effort in A" in capsys.readouterr().out) == (unit == "mA")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from itertools import groupby
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rx90_common.bags.ordering import HEADER_STAMP, LIST_STAMP, Arrived, Entry, LogOrder, Source, stamps_ns
+from rx90_common.bags.ordering import HEADER_STAMP, LIST_STAMP, Arrived, Dated, LogOrder, Source, stamps_ns
 from rx90_common.exchange.cdr_stamps import cdr_stamp_ns
 
 MS = 1_000_000
@@ -20,6 +20,21 @@ def message(stamp: int) -> bytes:
     """Return a CDR message that begins with a stamp."""
     seconds, nanoseconds = divmod(stamp, 1_000_000_000)
     return b"\x00\x01\x00\x00" + seconds.to_bytes(4, "little") + nanoseconds.to_bytes(4, "little")
+
+
+class Entry(NamedTuple):
+    """A message that was released."""
+
+    log_ns: int
+    topic: int
+    message: bytes
+
+
+def entries(dated: Dated | None) -> list[Entry]:
+    """Return what was released, message by message."""
+    if dated is None:
+        return []
+    return [Entry(*each) for each in zip(*(column.tolist() for column in dated), strict=True)]
 
 
 def clock(topic: int) -> Source:
@@ -46,8 +61,8 @@ def run(order: LogOrder, arrivals: list[tuple[Source, bytes]], every: int = 7) -
             messages = [cdr for _, cdr in batch]
             add(order, source, messages, received_ns)
             received_ns += len(messages)
-        released += order.release(received_ns)
-    return released + order.release_all()
+        released += entries(order.release(received_ns))
+    return released + entries(order.release_all())
 
 
 @given(st.lists(st.binary(min_size=8, max_size=8), min_size=1))
@@ -76,16 +91,21 @@ def test_a_latched_message_has_the_first_time() -> None:
     for stamp in range(0, 1000, 50):
         add(order, clock(0), [message(stamp * MS)], (5000 + stamp) * MS)
     add(order, Source(1, latched=True), [b"early"], 6000 * MS)
-    assert not order.release(7000 * MS)
-    released = order.release(8000 * MS)
+    assert not entries(order.release(7000 * MS))
+    add(order, Source(1, latched=True), [b"late"], 7500 * MS)
+    released = entries(order.release(8000 * MS))
     add(order, Source(1, latched=True), [b"after a release"], 8000 * MS)
-    released += order.release_all()
-    assert [(e.log_ns, e.message) for e in released if e.topic] == [(0, b"early"), (950 * MS, b"after a release")]
+    released += entries(order.release_all())
+    assert [(e.log_ns, e.message) for e in released if e.topic] == [
+        (0, b"early"),
+        (0, b"late"),
+        (950 * MS, b"after a release"),
+    ]
     order = LogOrder()
     order.date_by_reception()
     add(order, Source(0), [b"first"], 9000 * MS)
     add(order, Source(1, latched=True), [b"old"], 9001 * MS)
-    assert [(e.log_ns // MS, e.message) for e in order.release(0)] == [(9000, b"first"), (9001, b"old")]
+    assert [(e.log_ns // MS, e.message) for e in entries(order.release(0))] == [(9000, b"first"), (9001, b"old")]
 
 
 def test_a_topic_that_is_sent_again_late_is_in_its_place() -> None:
@@ -95,11 +115,11 @@ def test_a_topic_that_is_sent_again_late_is_in_its_place() -> None:
     for stamp, topic in sorted(sent, key=lambda each: each[0] // 10 + each[1] * 800 * MS):
         now = stamp // 10 + topic * 800 * MS
         add(order, clock(topic), [message(stamp)], now)
-        released += order.release(now)
+        released += entries(order.release(now))
     before = len(released)
-    released += order.release(now + 2000 * MS)  # also where no more messages come
+    released += entries(order.release(now + 2000 * MS))  # also where no more messages come
     assert 0 < before < len(released) < len(sent)
-    released += order.release_all()
+    released += entries(order.release_all())
     assert [(e.log_ns, e.topic) for e in released] == sent
 
 
@@ -136,9 +156,9 @@ def test_time_that_is_set_back_holds_nothing_up() -> None:
     released: list[Entry] = []
     for received, stamp in enumerate(stamps):
         add(order, clock(0), [message(stamp * MS)], received * 10 * MS)
-        released += order.release(received * 10 * MS)
+        released += entries(order.release(received * 10 * MS))
         held.append(order.held_bytes)
-    released += order.release_all()
+    released += entries(order.release_all())
     assert len(released) == len(stamps)
     assert max(held) <= 12 * 210
     assert order.held_bytes == 0
@@ -156,7 +176,7 @@ def test_a_reset_is_reported_and_keeps_the_runs_apart() -> None:
     add(order, clock(1), [message(0)])
     for topic, stamp in [(t, s) for t in (0, 1) for s in runs[1][1:]]:
         add(order, clock(topic), [message(stamp * MS)])
-    released = order.release_all()
+    released = entries(order.release_all())
     assert [e.log_ns for e in released] == sorted(e.log_ns for e in released)
     for topic in (0, 1):
         stamps = [cdr_stamp_ns(e.message) for e in released if e.topic == topic]

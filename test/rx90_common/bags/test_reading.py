@@ -180,8 +180,7 @@ def test_counts_rates_and_gaps(tmp_path: Path, kind: str) -> None:
     bag = as_sqlite(written) if kind == "db3" else written
     bag = bag.rename(tmp_path / "50% of a#1?")  # signs with a meaning in the URI by which a database is opened
     summary = summarise(bag)
-    assert (summary.count, summary.storage) == (101 + 87 + 1, kind)
-    assert summary.size == sum(f.stat().st_size for f in bag.iterdir())
+    assert summary.count == 101 + 87 + 1
     joint, motor, note = summary.topics
     assert (motor.rate, motor.gaps, motor.longest_gap_ns) == (4000.0, 0, 0)
     assert (motor.first_ns, motor.last_ns) == (0, 25_000_000)

@@ -152,7 +152,7 @@ def test_killed_sqlite3_recorder(tmp_path: Path, capsys: pytest.CaptureFixture[s
         database.execute("CREATE TABLE opened(x)")
     database.close()
     assert run("rx90 bag", ["info", str(killed / "bag.db3")]) == 0
-    assert " 1001 messages" in capsys.readouterr().out
+    assert ": 1001 messages" in capsys.readouterr().out
 
 
 Messages = list[tuple[str, int, bytes]]
@@ -356,11 +356,9 @@ def test_types_that_cannot_be_parsed_and_compressed_bags(
             writer.write(joints, stamp, ROS2.serialize_cdr(joint_state(stamp, ["a"], [1.0]), JOINT_STATE))
         writer.write(events, 5, b"\0\1\0\0" + bytes(16))
         writer.write(old, 7, bytes(ROS1.serialize_ros1(joint_state(9, ["b"], [2.0], store=ROS1), JOINT_STATE)))
-    kind = {"mcap": "mcap", "sqlite3": "db3"}[storage]
     (file,) = (file for file in bag.iterdir() if file.name != "metadata.yaml")
     for path in (bag, shutil.copy(file, tmp_path / "alone")):
         summary = summarise(path)
-        assert summary.storage == kind
         assert {t.topic: t.count for t in summary.topics} == {"/joint_states": 40, "/add/_service_event": 1, "/old": 1}
         read = read_joint_bag(path).series
         assert read["/joint_states"][0].stamp_ns.tolist() == STAMPS
@@ -368,7 +366,7 @@ def test_types_that_cannot_be_parsed_and_compressed_bags(
     assert run("rx90 bag", ["compare", str(bag), str(bag)]) == 0
     assert "; 1 other topic not compared\n" in capsys.readouterr().out
     assert run("rx90 bag", ["info", str(bag)]) == 0
-    assert f"{bag}: {kind}, " in capsys.readouterr().out
+    assert f"{bag}: 42 messages\n" in capsys.readouterr().out
 
 
 INDEXES = {"all": IndexType.ALL, "none of chunks": IndexType.MESSAGE, "no chunks": IndexType.ALL,

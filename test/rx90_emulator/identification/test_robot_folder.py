@@ -84,11 +84,13 @@ def identified(
     """Return as much of an identification as the robot's files hold."""
     done = np.zeros((2, len(arm.names)))
     done[1, 1] = -SEEN
-    runs = (SimpleNamespace(bandwidths=Bandwidths(30.0, 10.0, ""), acceleration=done),)
+    bands = Bandwidths(30.0, 10.0, "")
+    runs = (SimpleNamespace(bandwidths=bands, acceleration=done),)
     problem = SimpleNamespace(arm=arm, columns=columns, runs=runs)
     robot = SimpleNamespace(fallback_name=fallback, setup=None)
     consistency, bags = SimpleNamespace(inertias=inertias), (("excitation", source),)
-    given = {"problem": problem, "robot": robot, "consistency": consistency, "elements": elements, "bags": bags}
+    given = {"problem": problem, "robot": robot, "consistency": consistency, "elements": elements, "bags": bags,
+             "compared": bands}  # fmt: skip
     ranges = ((0.05, 2.0),) * len(elements)
     return SimpleNamespace(
         **given, arm=arm, unit="Nm", element_notes={}, notes=(), fitted=SimpleNamespace(speeds=ranges)

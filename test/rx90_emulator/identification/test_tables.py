@@ -134,6 +134,13 @@ def test_stamps_and_numbers_are_those_of_the_table(tmp_path: Path, suffix: str) 
     assert series.names == ("a", "b")
 
 
+def test_whole_times_of_few_bits_are_exact(tmp_path: Path) -> None:
+    """Milliseconds in 32 bits become ns, which need more."""
+    table = write_table(tmp_path / "log.npz", {"t": np.array([1, 4_000_000_000], np.uint32), "q": np.zeros(2)})
+    write_map(tmp_path / "log.yaml", velocity=None, effort=None)
+    assert read_joint_states(table, "joint_states").stamp_ns.tolist() == [1_000_000, 4_000_000_000_000_000]
+
+
 @pytest.mark.parametrize(
     ("suffix", "change", "said"),
     [
