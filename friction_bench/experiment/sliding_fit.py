@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -50,10 +51,12 @@ LEAST_HALF = 15
 """Readings of half a ramp from which a bend is seen."""
 LEAST_BEND = 0.05
 """Difference of the velocity's slope in both halves, relative, from which a ramp is bent."""
-LONGEST_SETTLING = 0.5
-"""Share of the longest time of sliding that may be left out as the transient."""
 BEND_DEVIATIONS = 5.0
 """The same in standard deviations."""
+LONGEST_SETTLING = 0.5
+"""Share of the longest time of sliding that may be left out as the transient."""
+LONGEST_T = 5.0
+"""T in ticks that a fit with an effect may have, whatever the ramps show: a longer one would imitate a bend."""
 DIFFERENCE = 1e-5
 """Step of parameters for difference quotients."""
 _ALPHA, _BETA, _T, _KAPPA, _VELOCITY, _EXPONENT = range(6)
@@ -108,12 +111,14 @@ class _Ramps:
         errors: of their angles.
         level: alpha and beta, shape (2,).
         starts: velocity at the first reading of each, rad/s, shape (K,).
+        longest_transient: upper bound of T, s.
     """
 
     windows: Sequence[SlidingWindow]
     errors: Errors
     level: Array
     starts: Array
+    longest_transient: float = math.inf
 
     @classmethod
     def begin(cls, windows: Sequence[SlidingWindow]) -> _Ramps:
@@ -171,10 +176,11 @@ class _Ramps:
         longest = self.longest
         low, high = effect or self.speeds
         usual_kappa = USUAL_RISE * max(abs(float(self.level[1])), 1e-9)
-        start = np.array([*self.level, max(2.5 * tick, 0.05 * longest), 0.0, (low + high) / 2.0, 0.0])
+        usual_T = min(max(2.5 * tick, 0.05 * longest), self.longest_transient / 2.0)
+        start = np.array([*self.level, usual_T, 0.0, (low + high) / 2.0, 0.0])
         spread = np.array([np.inf, np.inf, LONGEST * longest, usual_kappa, (high - low) / 2.0, EXPONENT_DEVIATION])
         lower = np.array([-np.inf, -np.inf, SHORTEST * tick, 0.0, 2.0 * low - high, -3.0 * EXPONENT_DEVIATION])
-        upper = np.array([np.inf, np.inf, np.inf, np.inf, 2.0 * high - low, 3.0 * EXPONENT_DEVIATION])
+        upper = np.array([np.inf, np.inf, self.longest_transient, np.inf, 2.0 * high - low, 3.0 * EXPONENT_DEVIATION])
         used = slice(_KAPPA if effect is None else None)
         block = self.block
 
@@ -287,14 +293,22 @@ class _Ramps:
 def find_bends(windows: Sequence[SlidingWindow]) -> list[tuple[float, float] | None]:
     """Return the slope of the velocity in both halves of each ramp, rad/s², where it is not the same or none.
 
-    T is the middle one of those that ramps show by themselves, so that a bent ramp does not change it for others.
+    T is the middle one of those that ramps show by themselves, so that a bent ramp does not change it for others. What
+    a Stribeck effect of all ramps explains is no bend, if they have two slopes: an effect is over at a velocity, a
+    transient at a time.
     """
     ramps = _Ramps.begin(windows)
     T = float(np.median([_Ramps.begin([window]).fit().x[_T] for window in windows]))
     T = min(T, LONGEST_SETTLING / SETTLED * ramps.longest)
     x = np.array([*ramps.level, T])
     ramps = replace(ramps, errors=replace(ramps.errors, T=T)).with_noise(x)
-    return [ramps.bend(k, x) for k in range(len(windows))]
+    bends = [ramps.bend(k, x) for k in range(len(windows))]
+    if any(bends) and len(np.unique(ramps.slopes)) > 1:
+        bounded = replace(ramps, longest_transient=max(2.0 * T, LONGEST_T * windows[0].record.tick))
+        common, effect = _with_effect(bounded.moved(bounded.fit().x))
+        common = replace(common, errors=ramps.errors)
+        bends = [bend and common.bend(k, effect.x) for k, bend in enumerate(bends)]
+    return bends
 
 
 def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
@@ -307,7 +321,7 @@ def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
     for _ in range(PASSES):
         ramps = ramps.moved(ramps.fit().x)
     result = ramps.fit()
-    moved, effect = min((_with_effect(ramps, cell) for cell in range(VELOCITIES)), key=lambda pair: pair[1].cost)
+    moved, effect = _with_effect(ramps)
     trial = _trial(result, effect)
     if trial.kept:
         result = effect
@@ -340,13 +354,13 @@ def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
     )
 
 
-def _with_effect(ramps: _Ramps, cell: int) -> tuple[_Ramps, Fit]:
-    """Return the fit with a Stribeck effect, w_s about a part of its range, and the ramps' velocities with it."""
-    low, high = ramps.speeds
-    width = (high - low) / VELOCITIES
-    effect = low + cell * width, low + (cell + 1) * width
-    ramps = ramps.started(ramps.fit(effect).x)
-    return ramps, ramps.fit(effect)
+def _with_effect(ramps: _Ramps) -> tuple[_Ramps, Fit]:
+    """Return the best fit with a Stribeck effect, and the ramps' velocities with it."""
+    results = []
+    for effect in pairwise(np.linspace(*ramps.speeds, VELOCITIES + 1).tolist()):
+        moved = ramps.started(ramps.fit(effect).x)
+        results.append((moved, moved.fit(effect)))
+    return min(results, key=lambda result: result[1].cost)
 
 
 def _trial(simple: Fit, effect: Fit) -> Trial:
