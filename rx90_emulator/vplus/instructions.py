@@ -303,7 +303,7 @@ def _set_timer(task: Task, value: float, number: int) -> None:
 
 def _react(task: Task, signal: int, name: str, priority: float = 1.0) -> None:
     """Call a program when a signal changes; REACTI ends the motion, too."""
-    task.program(name.lower())
+    task.program(name)
     stops = task.line.word == "REACTI"
     task.reactions[signal] = Reaction(name, priority, stops, task.cell.is_on(signal))
 

@@ -21,12 +21,12 @@ from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import plain
 from rx90_emulator.vplus.cell import Cell
 from rx90_emulator.vplus.instructions import CONTROL
-from rx90_emulator.vplus.program import load_programs, parse_line, plain_name, read
+from rx90_emulator.vplus.program import load_programs, parse_line, read
 from rx90_emulator.vplus.task import OF_EXECUTE, Frame, Task, Waits
 from rx90_emulator.vplus.transformations import six_numbers, trans
 from rx90_emulator.vplus.tree import Memory, Program, Step
 from rx90_emulator.vplus.values import Cell as Variable
-from rx90_emulator.vplus.values import Joints, LoadError, Value, VplusError, element
+from rx90_emulator.vplus.values import Joints, LoadError, Value, VplusError, element, plain_name
 
 
 class Ask(str):
@@ -77,6 +77,7 @@ class Monitor:
         self._reads = False
         self._answer: str | None = None
         self._typed = ""
+        self._returned = False
         self._lines: list[str] = []
         cell.show = lambda text, _, ends: send(f"{text}\r\n" if ends else text)
         cell.ask = self._ask
@@ -91,20 +92,22 @@ class Monitor:
         for character in data.decode("latin-1"):
             if ord(character) == _INTERRUPT:
                 self.abort()
-            elif character == "\r":
+            elif character == "\r" or (character == "\n" and not self._returned):
                 self._lines.append(self._typed)
                 self._typed = ""
             elif character in "\b\x7f":
                 self._typed = self._typed[:-1]
             elif character != "\n" and len(self._typed) < _LONGEST_LINE:
                 self._typed += character
+            self._returned = character == "\r"
         self._take_lines()
 
     def _take_lines(self) -> None:
-        while self._lines and not self.is_busy:
+        while self._lines and (self._reads or not self.is_busy):
             line = self._lines.pop(0)
             self._send(f"{line}\r\n")
             if self._reads:
+                self._reads = False
                 self._answer = line
             elif self._asks:
                 self._asks = False
@@ -295,7 +298,7 @@ def _listing(program: Program) -> list[str]:
 
 
 def _programs(monitor: Monitor, text: str) -> list[Program]:
-    names = [plain_name(name) for name in text.replace(",", " ").split()] or monitor.task.memory.programs
+    names = text.replace(",", " ").split() or monitor.task.memory.programs
     return [monitor.task.program(name) for name in names]
 
 
@@ -496,10 +499,11 @@ def _exchange(line: int, monitor: Monitor, output: bytearray, baud: int | None, 
     output[:] = b"."
     began = time.monotonic() - cell.time
     while True:
-        late = time.monotonic() - began - cell.time if waits else cell.period
+        wait = max(began + cell.time + cell.period - time.monotonic(), 0.0) if waits else 0.0
         if baud is not None:
-            time.sleep(max(cell.period - late, 0.0))
-        ready, free, _ = select.select([line], [line] if output else [], [], max(cell.period - late, 0.0))
+            time.sleep(wait)
+            wait = 0.0
+        ready, free, _ = select.select([line], [line] if output else [], [], wait)
         if ready:
             try:
                 data = os.read(line, most)
@@ -508,6 +512,7 @@ def _exchange(line: int, monitor: Monitor, output: bytearray, baud: int | None, 
             if not data:
                 return
             monitor.receive(data)
+        late = time.monotonic() - began - cell.time if waits else cell.period
         for _ in range(min(int(late / cell.period), _MOST_BEATS)):
             monitor.beat()
         if late > _MOST_BEATS * cell.period:

@@ -17,10 +17,9 @@ from rx90_emulator.vplus.functions import FUNCTIONS
 from rx90_emulator.vplus.instructions import INSTRUCTIONS, REFUSED
 from rx90_emulator.vplus.transformations import trans
 from rx90_emulator.vplus.tree import Function, Line, Memory, Program, Readings, Reference, Step, Tree
-from rx90_emulator.vplus.values import Format, Joints, LoadError, VplusError, bounded, element
+from rx90_emulator.vplus.values import Format, Joints, LoadError, VplusError, bounded, element, plain_name
 
 SUFFIXES: Final = (".v2", ".pg", ".lc", ".rv", ".st")
-_NAME_LENGTH: Final = 15
 _LONGEST_LINE: Final = 255
 _LARGEST_LABEL: Final = 65535
 _LARGEST_FILE: Final = 20_000_000
@@ -40,11 +39,6 @@ _INSIDE: Final = {
 
 
 # Lines.
-
-
-def plain_name(name: str) -> str:
-    """Return a name as it counts."""
-    return name.lower()[:_NAME_LENGTH]
 
 
 def _function(name: str, *arguments: Tree) -> Function:

@@ -19,7 +19,6 @@ from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.vplus.cell import PERIOD, Cell, Change, Engine
 from rx90_emulator.vplus.motion import Motion
-from rx90_emulator.vplus.program import plain_name
 from rx90_emulator.vplus.task import Task
 from rx90_emulator.vplus.tree import Memory
 from rx90_emulator.vplus.values import VplusError
@@ -152,7 +151,7 @@ def run_in(cell: Cell, memory: Memory, name: str, arguments: Sequence[str], opti
         if not memory.programs:
             raise VplusError("Program not executable", "the files have no program")
         task = Task(memory, cell)
-        task.call(plain_name(name) or next(iter(memory.programs)), *map(_constant, arguments))
+        task.call(name or next(iter(memory.programs)), *map(_constant, arguments))
         _execute(task, options)
     except VplusError as error:
         run.error = error

@@ -18,7 +18,18 @@ from rx90_common.description.branch import Branch
 from rx90_emulator.vplus import cell as surroundings
 from rx90_emulator.vplus.transformations import inverse
 from rx90_emulator.vplus.tree import Function, Line, Memory, Program, Reference, Step, Tree
-from rx90_emulator.vplus.values import KINDS, Cell, Joints, Scope, Table, Value, VplusError, bounded, element
+from rx90_emulator.vplus.values import (
+    KINDS,
+    Cell,
+    Joints,
+    Scope,
+    Table,
+    Value,
+    VplusError,
+    bounded,
+    element,
+    plain_name,
+)
 
 Waits: TypeAlias = Iterator[str]
 """What is waited for, in a word, once in each beat."""
@@ -159,9 +170,10 @@ class Task:
         Raises:
             VplusError: if there is none of this name.
         """
-        if name not in self.memory.programs:
+        program = self.memory.programs.get(plain_name(name))
+        if program is None:
             raise VplusError("Undefined program or variable name", name)
-        return self.memory.programs[name]
+        return program
 
     def call(self, name: str, *arguments: Tree) -> None:
         """Go on in another program, which gets variables by reference and expressions by value.
@@ -169,7 +181,7 @@ class Task:
         Raises:
             VplusError: if there is none, for arguments that it does not take, and for too many calls in each other.
         """
-        program = self.program(name.lower())
+        program = self.program(name)
         if len(arguments) > len(program.parameters):
             raise VplusError("Illegal value", f"{len(arguments)} arguments of {name}")
         if len(self.frames) >= _DEEPEST:

@@ -33,6 +33,7 @@ NUMBERS: Final = {
 _LARGEST_INDEX = 32767
 _LARGEST = 1e38
 _LONGEST = 128
+_NAME_LENGTH = 15
 
 
 class VplusError(FailureError):
@@ -135,6 +136,11 @@ class Cell:
         if kind not in wanted:
             raise VplusError("Illegal assignment", f"{self.name} is a {wanted}, and the value a {kind}")
         self.value = value
+
+
+def plain_name(name: str) -> str:
+    """Return a name as it counts."""
+    return name.lower()[:_NAME_LENGTH]
 
 
 Index: TypeAlias = tuple[int, ...]

@@ -93,7 +93,7 @@ def test_a_program_is_edited_run_stored_and_loaded(talk: Talk) -> None:
     assert "DRIVE 1, 10, 50\r\n" in talk("listp p")
     assert talk("exec p(1)", 3).endswith(" 1\r\n")
     assert talk("abort").endswith("(Y/N)? ")
-    assert "stopped  p" in [talk("Y"), talk("status")][-1]
+    assert "idle" in [talk("Y"), talk("status")][-1]
     assert "*Unknown instruction*" in [talk(line) for line in ("EDIT q", "NONSENSE", "E")][-1]
 
 
