@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.mapping import LogMapping
+from rx90_common.bags.mapping import LogMapping, exported_mapping
 from rx90_common.bags.reading import Progress, read_joint_bag, silent
 from rx90_common.bags.writing import named_at_the_end
 from rx90_common.base.errors import BagError
@@ -69,11 +69,15 @@ def export_bag(
 
 
 def _write_csv(path: Path, series: JointSeries) -> None:
-    """Write times in s with nine decimals, which are exact, and numbers with all digits needed to restore them."""
+    """Write times in s with nine decimals, which are exact, and numbers with all digits needed to restore them.
+
+    A signal map is written beside it, with which the table is read again.
+    """
     from pyarrow.csv import WriteOptions, write_csv  # takes a while
 
     times = [f"{stamp // NANOSECONDS}.{stamp % NANOSECONDS:09d}" for stamp in series.stamp_ns.tolist()]
     table = _table(series, {"time [s]": times})
+    path.with_suffix(".yaml").write_text(exported_mapping(series), encoding="utf-8")
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerow(table.column_names)
     with path.open("ab") as file:

@@ -11,15 +11,16 @@ torque_constant: [0.1, 0.08]
 ```
 
 A bag needs no columns: `topic`, `names` and the keys of motors and joints. A table is the topic `joint_states` unless
-`topic` names another one.
+`topic` names another one; `topics` holds names and columns of each topic of a table with several.
 
 Columns are numbers from 1 on, or names in the log's header. Position, velocity and effort may each be left out.
-`delimiter` is a comma, `decimal` a point, and the first line the `header` with the names unless the map says otherwise.
+`delimiter`, `decimal` and the number of lines of the `header` are found out where the map does not say them.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
@@ -27,9 +28,11 @@ from typing import Annotated, Any, Final, Literal, TypeAlias
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
+from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import FIELDS, quantities
+from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import BagError
-from rx90_common.base.models import FileModel, NotZero, not_accepted, quantity, read_model, refusal
+from rx90_common.base.models import FileModel, NotZero, Some, not_accepted, quantity, read_model, refusal
 from rx90_common.base.quoting import plain
 
 TIME_UNITS: Final = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
@@ -46,6 +49,8 @@ ARRAYS: Final = (".parquet", ".npz")
 """Suffixes of logs of arrays."""
 TABLES: Final = (".csv", ".tsv", ".txt", ".dat", *ARRAYS)
 """Suffixes of logs in columns."""
+
+_TOPIC: Final = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*")
 
 _Column: TypeAlias = Annotated[
     Annotated[int, Field(ge=1, le=100_000)] | str,
@@ -118,12 +123,9 @@ class TimeColumn(FileModel):
     unit: Annotated[Literal["s", "ms", "us", "ns"], Field(description="Unit of the times.")]
 
 
-class SignalMapFile(FileModel):
-    """What a log holds: columns of a table, or messages of a bag."""
+class MessageColumns(FileModel):
+    """Where the joint states of a topic come from."""
 
-    topic: Annotated[
-        str | None, Field(description="JointState topic of a bag, or that of a table, joint_states by default.")
-    ] = None
     names: Annotated[
         tuple[str, ...] | None,
         Field(
@@ -137,6 +139,38 @@ class SignalMapFile(FileModel):
     position: PositionColumns | None = None
     velocity: VelocityColumns | None = None
     effort: EffortColumns | None = None
+
+    @model_validator(mode="after")
+    def _check_columns(self) -> MessageColumns:
+        for name, array in self.fields.items():
+            if self.names is None:
+                raise ValueError(f"has {name} and no names; accepted: names, a list of texts")
+            for key, values in (("columns", array.columns), ("factor", array.factor)):
+                if isinstance(values, tuple) and len(values) != len(self.names):
+                    raise refusal(f"{name}.{key}", values, f"a list of {len(self.names)}, one for each name")
+        return self
+
+    @property
+    def fields(self) -> dict[str, FieldColumns]:
+        """Return the columns by what they hold."""
+        columns = {"position": self.position, "velocity": self.velocity, "effort": self.effort}
+        return {name: given for name, given in columns.items() if given is not None}
+
+    def effort_unit(self, topic: str) -> str:
+        """Return the unit of the efforts in the bag if it is not the usual one of the topic's name."""
+        unit = "" if self.effort is None else self.effort.unit.removeprefix("m")
+        return "" if unit == quantities(topic)["effort"][1] else unit
+
+
+class SignalMapFile(MessageColumns):
+    """What a log holds: columns of a table, or messages of a bag."""
+
+    topic: Annotated[
+        str | None, Field(description="JointState topic of a bag, or that of a table, joint_states by default.")
+    ] = None
+    topics: Annotated[
+        Some[MessageColumns] | None, Field(description="Topics of a table that holds several, by name.")
+    ] = None
     gear: Annotated[
         _NotZeros | None,
         Field(description="Motor turns per joint turn: says that the log holds the motors' states."),
@@ -166,47 +200,41 @@ class SignalMapFile(FileModel):
     rate: Annotated[
         float | None, quantity("Hz", "Rows per second, where no column holds the times.", ge=1e-3, le=1e6)
     ] = None
-    delimiter: Annotated[Literal[",", ";", "tab", "space"], Field(description="Between columns.")] = ","
-    decimal: Annotated[Literal[".", ","], Field(description="Decimal sign.")] = "."
+    delimiter: Annotated[
+        Literal[",", ";", "tab", "space"] | None, Field(description="Between columns; found out if left out.")
+    ] = None
+    decimal: Annotated[Literal[".", ","] | None, Field(description="Decimal sign; found out if left out.")] = None
     header: Annotated[
-        int, Field(ge=0, le=1000, description="Lines before the first row; the last of them has the names.")
-    ] = 1
+        int | None, Field(ge=0, le=1000, description="Lines before the first row; found out if left out.")
+    ] = None
+    exact: Annotated[bool, Field(description="Numbers and times are taken as they stand: NaN, any order.")] = False
 
     @model_validator(mode="after")
     def _check_keys(self) -> SignalMapFile:
         given = [key for key, value in (("time", self.time), ("rate", self.rate)) if value is not None]
-        if len(given) != (1 if self.fields else 0):
-            accepted = "one of them" if self.fields else f"with {', '.join(FIELDS)}"
+        if len(given) != (1 if self.by_topic else 0):
+            accepted = "one of them" if self.by_topic else f"with topics, {', '.join(FIELDS)}"
             raise ValueError(f"has {' and '.join(given) or 'none'} of time, rate; accepted: {accepted}")
-        for name, array in self.fields.items():
-            if self.names is None:
-                raise ValueError(f"has {name} and no names; accepted: names, a list of texts")
-            for key, values in (("columns", array.columns), ("factor", array.factor)):
-                if isinstance(values, tuple) and len(values) != len(self.names):
-                    raise refusal(f"{name}.{key}", values, f"a list of {len(self.names)}, one for each name")
+        for name, columns in self.by_topic.items():
+            if not _TOPIC.fullmatch(name) or not columns.fields:
+                accepted = f"names of topics, with one or more of {', '.join(FIELDS)}"
+                raise ValueError(f"topics.{plain(name)}: no topic, or no columns; accepted: {accepted}")
         return self
 
     @property
-    def fields(self) -> dict[str, FieldColumns]:
-        """Return the columns by what they hold."""
-        columns = {"position": self.position, "velocity": self.velocity, "effort": self.effort}
-        return {name: given for name, given in columns.items() if given is not None}
+    def by_topic(self) -> dict[str, MessageColumns]:
+        """Return the columns of the joint states by topic."""
+        columns: dict[str, MessageColumns] = {} if self.topics is None else {**self.topics.entries}
+        if self.fields:
+            columns[self.topic or "joint_states"] = self
+        return columns
 
     @property
     def columns(self) -> list[int | str]:
         """Return all columns that are used."""
         times = [] if self.time is None else [self.time.column]
-        return [*times, *(column for field in self.fields.values() for column in field.columns)]
-
-    @property
-    def table_topic(self) -> str:
-        """Return the topic of a table."""
-        return self.topic or "joint_states"
-
-    def effort_unit(self, topic: str) -> str:
-        """Return the unit of the efforts in the bag if it is not the usual one of the topic's name."""
-        unit = "" if self.effort is None else self.effort.unit.removeprefix("m")
-        return "" if unit == quantities(topic)["effort"][1] else unit
+        parts = [field for topic in self.by_topic.values() for field in topic.fields.values()]
+        return [*times, *(column for field in parts for column in field.columns)]
 
 
 MESSAGE_KEYS: Final = (
@@ -245,6 +273,17 @@ def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
             f"{plain(path)}: no signal map {plain(beside.name)} beside it; accepted: that file, or --signals FILE"
         )
     chosen = LogMapping.load(beside) if mapping is None else mapping
-    if not chosen.fields:
+    if not chosen.by_topic:
         raise BagError(f"{plain(chosen.path)}: names no columns of {plain(path)}; accepted: such as position")
     return chosen
+
+
+def exported_mapping(series: JointSeries) -> str:
+    """Return the signal map by which the CSV file of a series, as it is exported, is read again."""
+    columns: dict[str, Any] = {"names": list(series.names)}
+    first = 2
+    for name in series.fields:
+        columns[name] = {"columns": list(range(first, first + len(series.names))), "unit": series.units[name]}
+        first += len(series.names)
+    time = {"column": 1, "unit": "s"}
+    return yaml_text({"exact": True, "delimiter": ",", "header": 1, "time": time, "topics": {series.topic: columns}})

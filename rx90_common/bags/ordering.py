@@ -145,7 +145,11 @@ class LogOrder:
         """Return the messages with log times up to `last`, in order, and hold the others."""
         if not self._held:
             return None
-        held = Dated(*map(np.concatenate, zip(*self._held, strict=True)))
+        held = Dated(
+            np.concatenate([part.log_ns for part in self._held]),
+            np.concatenate([part.topic for part in self._held]),
+            np.concatenate([part.messages for part in self._held]),
+        )
         order = np.lexsort((held.topic, held.log_ns))  # stable: the rest is in order of arrival
         end = int(np.searchsorted(held.log_ns[order], last, side="right"))
         released = held.take(order[:end])

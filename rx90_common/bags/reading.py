@@ -72,9 +72,8 @@ class BagReader:
         if is_table(self.path):
             from rx90_common.bags.logs import read_log  # pyarrow takes a while
 
-            series = read_log(self.path, self._mapping)
-            self.table = [series]
-            self.effort_units = {series.topic: series.effort_unit}
+            self.table = read_log(self.path, self._mapping).series
+            self.effort_units = {series.topic: series.effort_unit for series in self.table}
             return self
         with ExitStack() as stack:
             for file in self._storage_files():

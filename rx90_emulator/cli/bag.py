@@ -267,6 +267,7 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help="log to read")
     parser.add_argument("bag", type=new_folder, metavar="BAG", help="bag to make; must not exist")
     _add_signals(parser)
+    parser.add_argument("--skip-corrupt", action="store_true", help="leave out damaged rows, and say which")
 
 
 def _import(args: argparse.Namespace) -> None:
@@ -274,9 +275,13 @@ def _import(args: argparse.Namespace) -> None:
     from rx90_common.bags.logs import read_log
     from rx90_common.bags.writing import write_joint_states
 
-    series = read_log(args.log, _signals(args))
-    write_joint_states(args.bag, [series])
-    print(f"{plain(series.topic)}: {counted(len(series.stamp_ns), 'message')}\nbag: {plain(args.bag)}")
+    log = read_log(args.log, _signals(args), skip_corrupt=args.skip_corrupt)
+    write_joint_states(args.bag, log.series)
+    for series in log.series:
+        print(f"{plain(series.topic)}: {counted(len(series.stamp_ns), 'message')}")
+    if log.corrupt:
+        print(f"left out: {log.corrupt}")
+    print(f"bag: {plain(args.bag)}")
 
 
 def _add_info(parser: argparse.ArgumentParser) -> None:

@@ -180,7 +180,7 @@ def _array(values: Sequence[float] | None) -> Array | None:
 def topic_names(bag: Path, mapping: LogMapping | None = None) -> set[str]:
     """Return the absolute names of the topics of a bag or a table, without reading the table."""
     if is_table(bag):
-        return {absolute(mapping_of(bag, mapping).table_topic)}
+        return set(map(absolute, mapping_of(bag, mapping).by_topic))
     with BagReader(bag) as reader:
         return {topic.name for topic in reader.topics}
 
@@ -194,7 +194,7 @@ def recorded_topic(bag: Path, topics: Sequence[str], mapping: LogMapping | None 
         mapping: the columns of a table.
     """
     there = topic_names(bag, mapping)
-    if is_table(bag):
+    if is_table(bag) and len(there) == 1:
         return there.pop()
     for topic in topics:
         if absolute(topic) in there:
@@ -208,7 +208,8 @@ def recorded_topic(bag: Path, topics: Sequence[str], mapping: LogMapping | None 
 def message_names(log: Path, topic: str, mapping: LogMapping | None = None) -> tuple[str, ...]:
     """Return the names in the first message of a JointState topic of a bag, or those of a table."""
     if is_table(log):
-        return mapping_of(log, mapping).names or ()
+        columns = {absolute(name): part.names or () for name, part in mapping_of(log, mapping).by_topic.items()}
+        return columns.get(absolute(topic), ())
     with BagReader(log) as reader:
         there = [entry for entry in reader.topics if entry.name == absolute(topic) and entry.is_joint_state]
         first = next(reader.messages(there), None) if there else None

@@ -44,7 +44,8 @@ def write(path: Path, text: str, encoding: str = "utf-8") -> Path:
 def imported(folder: Path, mapping: str, log: str, encoding: str = "utf-8") -> JointSeries:
     """Return what a log holds."""
     chosen = LogMapping.load(write(folder / "mapping.yaml", mapping))
-    return read_log(write(folder / "log.csv", log, encoding), chosen)
+    (series,) = read_log(write(folder / "log.csv", log, encoding), chosen).series
+    return series
 
 
 def rows(delimiter: str, decimal: str = ".", end: str = "") -> str:
@@ -56,6 +57,11 @@ def rows(delimiter: str, decimal: str = ".", end: str = "") -> str:
 @pytest.mark.parametrize(
     ("text", "mapping"),
     [
+        (rows(","), PLAIN.replace("header: 0\n", "")),
+        (rows(";", ","), PLAIN.replace("header: 0\n", "")),
+        (rows("\t"), PLAIN.replace("header: 0\n", "")),
+        ("the run of today\n# t a b\n" + rows(" "), PLAIN.replace("header: 0\n", "").replace("2, 3", "a, b")),
+        ("# t,a,b\n" + rows(","), PLAIN.replace("header: 0\n", "").replace("2, 3", "a, b")),
         (rows(","), PLAIN),
         (rows(", ", end=","), PLAIN),
         (rows(";", end=";a,b,c,1,2,3,4,d"), PLAIN + SEMICOLON),
@@ -68,11 +74,11 @@ def rows(delimiter: str, decimal: str = ".", end: str = "") -> str:
         ("t,a,b,tau\n" + rows(",", end=","), PLAIN.replace("0", "1")),  # a column that is empty and not used
         (
             "the run of today\n# t a b\n" + rows(" "),
-            PLAIN.replace("header: 0", "header: 2").replace("2, 3", "a, b") + BLANKS,
+            PLAIN.replace("header: 0", "header: 1").replace("2, 3", "a, b") + BLANKS,
         ),
     ],
 )
-def test_a_map_says_delimiter_decimal_sign_and_header(tmp_path: Path, text: str, mapping: str) -> None:
+def test_delimiter_decimal_sign_and_header_are_found_out_or_said(tmp_path: Path, text: str, mapping: str) -> None:
     """Commas, semicolons, tabs, blanks, decimal commas, headers and comments give the same numbers."""
     found = imported(tmp_path, mapping, text, "utf-8-sig")
     assert found.stamp_ns.tolist() == [500_000_000, 750_000_000, 1_250_000_000]
@@ -165,18 +171,26 @@ TWICE = (PLAIN.partition("header")[2], PLAIN.partition("header")[2].replace(": 0
         (TWICE, b"t,qb,qb\n1,2,3", "log.csv: more than one column 'qb'; there are t, qb, qb, 1, 2, 3"),
         (HEADED, b"t,a,b\n", "log.csv: "),
         (HEADED, b"t,a,b\n" + bytes(2_000_000), "log.csv: "),
-        (HEADED, b"t,a,b\n0,1e999,2\n", "column 2, row 1: 'inf'; accepted: numbers of joints, up to 1e9"),
-        (HEADED, b"t,a,b\n0,1,nan\n", "column 3, row 1: 'nan'; accepted: numbers of joints, up to 1e9"),
-        (HEADED, b"t,a,b\n0,1,2\n1,2,3_0\n", "column 3: Row #2: CSV conversion error to double: invalid value '3_0'"),
-        (HEADED, b"t,a,b\n0,1,2\n1,2,\n", "column 3: Row #2: CSV conversion error to double: invalid value ''"),
-        (HEADED, b"t,a,b\n0,1,2\n1,2\n", "Row #2: Expected 3 columns, got 2: 1,2; accepted: columns as in the"),
+        (
+            HEADED,
+            b"t,a,b\n0,1e999,2\n",
+            "1 corrupt row, line 2 (line 2: column 2 is '1e999'; accepted: numbers of joints, up to 1e9",
+        ),
+        (HEADED, b"t,a,b\n0,1,nan\n", "line 2: column 3 is 'nan'; accepted: numbers of joints, up to 1e9"),
+        (HEADED, b"t,a,b\n0,1,2\n1,2,3_0\n", "1 corrupt row, line 3 (line 3: column 3 is '3_0'; accepted: numbers"),
+        (HEADED, b"t,a,b\n0,1,2\n1,2,\n", "line 3: column 3 is ''; accepted: numbers"),
+        (HEADED, b"t,a,b\n0,1,2\n1,2\n", "1 corrupt row, line 3 (line 3: 2 fields, others have 3)"),
         (HEADED, b't,a,b,c\n0,1,2,"x\n1,1,2,x\n', "a quotation mark without a second one in its line"),
-        (HEADED, b"t,a,b\n1_0,1,2\n", "column 1, row 1: '1_0'; accepted: times of 0 to"),
-        (HEADED, b"t,a,b\n,1,2\n", "column 1, row 1: ''; accepted: times of 0 to 2147483648 s, or ISO 8601"),
-        (HEADED, b"t,a,b\n-0.1,1,2\n", "column 1, row 1: '-0.1'; accepted: times of 0 to"),
-        (HEADED, b"t,a,b\n2147483648,1,2\n", "column 1, row 1: '2147483648'; accepted: times of 0 to 2147483648 s"),
-        (HEADED, b"t,a,b\n0,1,2\n5,1,2\n5,1,2\n", "column 1, row 3: '5'; accepted: times that increase"),
-        (HEADED, b"t,a,b\n0,1,\0\n", "invalid value '\ufffd'"),
+        (HEADED, b"t,a,b\n1_0,1,2\n", "line 2: column 1 is '1_0'; accepted: times of 0 to"),
+        (HEADED, b"t,a,b\n,1,2\n", "line 2: column 1 is ''; accepted: times of 0 to 2147483648 s, or ISO 8601"),
+        (HEADED, b"t,a,b\n-0.1,1,2\n", "line 2: column 1 is '-0.1'; accepted: times of 0 to"),
+        (HEADED, b"t,a,b\n2147483648,1,2\n", "line 2: column 1 is '2147483648'; accepted: times of 0 to 2147483648 s"),
+        (
+            HEADED,
+            b"t,a,b\n0,1,2\n5,1,2\n5,1,2\n",
+            "1 corrupt row, line 3 (line 3: column 1 is '5'; accepted: a time between those around it",
+        ),
+        (HEADED, b"t,a,b\n0,1,\0\n", "line 2: column 3 is '\ufffd'; accepted: numbers"),
     ],
 )
 def test_what_does_not_fit_is_refused(
@@ -193,6 +207,49 @@ def test_what_does_not_fit_is_refused(
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line
     assert sorted(file.name for file in tmp_path.iterdir()) == ["log.csv", "m.yaml"]
+
+
+TORN = "t,a,b\n0,1,2\n1,x,2\n2,1\n9,1,2\n3,1,2\n4,1,2\n"
+
+
+def test_corrupt_rows_are_refused_or_left_out_and_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """No number, a missing field, a time far ahead: all are counted, and the others are kept where it is asked for."""
+    write(tmp_path / "log.csv", TORN)
+    write(tmp_path / "log.yaml", PLAIN.replace("header: 0\n", ""))
+    words = ["import", str(tmp_path / "log.csv"), str(tmp_path / "bag")]
+    assert run("rx90 bag", words) == 2
+    said = "3 corrupt rows, line 3, 4, 5 (line 3: column 2 is 'x'; accepted: numbers of joints, up to 1e9)"
+    assert said in capsys.readouterr().err
+    assert run("rx90 bag", [*words, "--skip-corrupt"]) == 0
+    assert f"left out: {said}\n" in capsys.readouterr().out
+    series = read_joint_states(tmp_path / "bag", "joint_states")
+    assert series.stamp_ns.tolist() == [0, 3 * 10**9, 4 * 10**9]
+
+
+def test_a_table_may_hold_several_topics(tmp_path: Path) -> None:
+    """Each topic has names and columns of its own; the times are common."""
+    topics = "topics: {joint_states: {names: [a], position: {columns: [q], unit: deg}}, \
+motor_states: {names: [m], effort: {columns: [i], unit: A}}}"
+    mapping = LogMapping.load(write(tmp_path / "map.yaml", "time: {column: t, unit: ms}\n" + topics))
+    joints, motors = read_log(write(tmp_path / "log.csv", "t,q,i\n1,180,5\n3,90,6\n"), mapping).series
+    assert (joints.topic, joints.names, motors.topic, motors.names) == (
+        "/joint_states",
+        ("a",),
+        "/motor_states",
+        ("m",),
+    )
+    assert joints.position is not None
+    assert motors.effort is not None
+    assert joints.position[:, 0] == pytest.approx([np.pi, np.pi / 2])
+    assert motors.effort[:, 0].tolist() == [5.0, 6.0]
+    assert motors.stamp_ns.tolist() == [1_000_000, 3_000_000]
+
+
+def test_an_exact_log_is_taken_as_it_stands(tmp_path: Path) -> None:
+    """Also what is not finite, and times that repeat or go back, in their order."""
+    series = imported(tmp_path, PLAIN + "exact: true\n", "1,nan,2\n0,inf,3\n0,4,-1e12\n")
+    assert series.stamp_ns.tolist() == [0, 0, 10**9]
+    assert np.array_equal(series.position, [[np.inf, 3.0], [4.0, -1e12], [np.nan, 2.0]], equal_nan=True)
 
 
 @pytest.mark.parametrize("limit", [30_000, 100_000])

@@ -303,7 +303,7 @@ def test_a_disk_that_takes_no_more_is_a_failure(tmp_path: Path, start: Start, no
     suite.publish(8000, 0, acknowledged=False)  # the recorder holds the newest second
     code, _, err = recorder.finish()
     assert (code, err.strip()) == (3, f"rx90 bag: {tmp_path / 'bag'}: cannot be written (File too large)")
-    with pytest.raises(BagError, match=r"bag\.mcap is cut off"), BagReader(tmp_path / "bag"):
+    with pytest.raises(BagError, match=r"bag\.mcap is cut off"), BagReader(tmp_path / "bag" / "bag.mcap"):
         pass
 
 

@@ -553,23 +553,24 @@ def bomb_of_a_file(path: Path) -> None:
         file.write(packer.flush())
 
 
-def bomb_of_ros1(path: Path, stated: int, size: int = 100 << 20, count: int = 1) -> None:
-    """Write a bag of ROS 1 with chunks of zeros."""
+def bomb_of_ros1(path: Path, stated: int | None = None, size: int = 100 << 20, count: int = 1) -> None:
+    """Write a bag of ROS 1 with chunks of zeros, which may state another length than they have."""
     writer = Rosbag1Writer(path)
     writer.set_compression(Rosbag1Writer.CompressionFormat.BZ2)
     with writer:
         connection = writer.add_connection("/joint_states", JOINT_STATE, typestore=ROS1)
         for _ in range(count):
             writer.write(connection, 0, bytes(size))
-    content = re.sub(rb"size=....", b"size=" + struct.pack("<I", stated), path.read_bytes(), flags=re.DOTALL)
-    path.write_bytes(content)
+    if stated is not None:
+        lie = b"size=" + struct.pack("<I", stated)
+        path.write_bytes(re.sub(rb"size=....", lie, path.read_bytes(), flags=re.DOTALL))
 
 
 BOMBS = {
     "file.mcap.zstd": bomb_of_a_file,
-    "chunk.bag": lambda path: bomb_of_ros1(path, 100 << 20),
+    "chunk.bag": bomb_of_ros1,
     "lying.bag": lambda path: bomb_of_ros1(path, 1000),
-    "chunks.bag": lambda path: bomb_of_ros1(path, 30 << 20, 30 << 20, 30),
+    "chunks.bag": lambda path: bomb_of_ros1(path, size=30 << 20, count=30),
     "chunks.mcap": lambda path: bomb_of_chunks(path, LARGE // 30, 30),
     "chunk.mcap": lambda path: bomb_of_chunks(path, LARGE),
     "endless.mcap": lambda path: bomb_of_chunks(path, 1 << 63),

@@ -168,7 +168,7 @@ def test_damaged_tables_are_one_line(motor: Motor, tmp_path: Path, suffix: str) 
     spoilt = motor.columns | {"q": motor.columns["q"].copy()}
     spoilt["q"][7] = np.nan
     table = write_table(tmp_path / f"log{suffix}", spoilt)
-    with pytest.raises(rx.Rx90Error, match=r"column q, row \d+: 'nan'; accepted: numbers of"):
+    with pytest.raises(rx.Rx90Error, match=r"line \d+: column q is 'nan'; accepted: numbers of"):
         read_joint_states(table, "joint_states")
     table.write_bytes(table.read_bytes()[:-100] if suffix != ".csv" else b"\x00\xff" * 50)
     with pytest.raises(rx.Rx90Error, match=r"damaged|holds no row of numbers"):
