@@ -117,8 +117,9 @@ def _forked(name: str, words: Sequence[str], *, fork: bool) -> tuple[int, str]:
 
 
 def _call(name: str, words: Sequence[str]) -> int:
-    entry = next(point for point in importlib.metadata.entry_points(group="console_scripts") if point.name == name)
-    sys.argv = [name, *words]
+    program, *verb = name.split()
+    (entry,) = importlib.metadata.entry_points(group="console_scripts", name=program)
+    sys.argv = [program, *verb, *words]
     try:
         return int(entry.load()() or 0)
     except SystemExit as ended:

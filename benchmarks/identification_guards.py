@@ -167,7 +167,7 @@ def _noisy_table(bag: Path, rng: np.random.Generator, topic: str = "joint_states
     run([*EXPORT, bag, "-o", exported, "--topic", topic])
     stated = {"t": "time_s", "q": "position_rad", "v": "velocity_rad_s", "f": "effort_Nm"}
     with np.load(exported) as data:
-        fields = {kind: data[f"{topic}_{name}"] for kind, name in stated.items()}
+        fields = {kind: data[name] for kind, name in stated.items()}
     exported.unlink()
     block = BLOCK
     if topic == "motor_states":
