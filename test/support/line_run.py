@@ -124,10 +124,8 @@ def run_both_ways(
         other.signal(signal.SIGINT)
         assert other.wait() == 0
     recorder.signal(signal.SIGINT)
-    assert recorder.wait() == 1  # the trajectory, and nothing else, came before the recording
-    said = re.findall("^(?:lost|not recorded|nothing recorded): .*", recorder.output, re.MULTILINE)
-    assert [line.split(":")[0] for line in said] == ["not recorded"], said
-    assert "1 of the trajectories of /rx90_controller/joint_trajectory that the controller" in said[0]
+    assert recorder.wait() == 0
+    assert not re.findall("^(?:lost|not recorded|nothing recorded): .*", recorder.output, re.MULTILINE)
     return compare_bags(folder / "recorded", folder / "closed_loop")
 
 

@@ -109,7 +109,7 @@ def test_rviz_shows_frames_and_groups_that_there_are() -> None:
     """Both RViz files are YAML whose frames are links of the robot, and whose group is that of the SRDF."""
     robot = load_robot(RobotFiles().urdf, RobotFiles().tool)
     links = {link.get("name") for link in ET.fromstring(robot.urdf).findall("link")}
-    for name in "rx90 moveit":
+    for name in ("rx90", "moveit"):
         shown = yaml.safe_load(config_path(f"rviz/{name}.rviz").read_text(encoding="utf-8"))["Visualization Manager"]
         displays = {display["Name"]: display for display in shown["Displays"]}
         frames = set(displays["TF"]["Frames"]) - {"All Enabled"} if "TF" in displays else set()

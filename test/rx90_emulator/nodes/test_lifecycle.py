@@ -189,6 +189,3 @@ def test_gains_change_between_two_ticks_and_the_rest_says_why_not(
     recorded = read_values(tmp_path / "bag")
     assert recorded["feed_forward.viscous_friction"] == viscous
     assert recorded["servo.kp"] == shipped.controller.kp.tolist()
-    done = processes.run("rx90 bag", "info", tmp_path / "bag").stdout
-    assert f"/{CONTROLLER}: servo.kp changed to {kp}, from t = 0.011000 s on" in done
-    assert f"/{SIMULATION}: step_ticks changed to {TICKS - CHANGED_AT}, from t = 0.010750 s on" in done
