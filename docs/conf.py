@@ -19,6 +19,7 @@ extensions = [
     "sphinxarg.ext",
     "sphinx_copybutton",
     "api_text",
+    "command_parsers",
     "schemas",
     "mathml",
 ]

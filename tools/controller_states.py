@@ -181,11 +181,16 @@ def _name(state: ServoState) -> str:
 
 
 def table(found: Mapping[str, Mapping[str, str]]) -> str:
-    """Return answers as a table: a row for each state, a column for each event."""
-    rows = [["in state", *found]]
-    rows.append(["---"] * len(rows[0]))
-    rows += [[f"**{state}**", *(found[event][state] for event in found)] for state in SITUATIONS]
-    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+    """Return answers as a table: a row for each state, with the events that change something."""
+    rows = "| in state | events: next state; requests |\n|---|---|\n"
+    for state in SITUATIONS:
+        unchanged = state.partition(";")[0].partition(" a ")[0].removesuffix(", inactive")
+        events_of: dict[str, list[str]] = {}
+        for event in found:
+            events_of.setdefault(found[event][state], []).append(event)
+        effects = [f"{', '.join(names)}: {then}" for then, names in events_of.items() if then not in {"-", unchanged}]
+        rows += f"| **{state}** | {'<br>'.join(effects)} |\n"
+    return rows
 
 
 def page(text: str, found: Mapping[str, Mapping[str, str]]) -> str:

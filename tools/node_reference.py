@@ -114,22 +114,25 @@ def with_tables(page: str, nodes: Sequence[NodeReference]) -> str:
 
 
 def _parameter_table(node: NodeReference) -> str:
-    rows = ["| parameter | default | accepted | while active | meaning |", "|---|---|---|---|---|"]
+    rows = ["| parameter | default | accepted | meaning |", "|---|---|---|---|"]
     for each in node.parameters:
         if not each.name.startswith(_QOS):
             name, about = (_JOINT.sub("<joint>", text) for text in (each.name, each.about))
-            row = f"| `{name}` | `{_text(each.default)}` | {each.accepted} | {'yes' * each.live} | {_cell(about)} |"
+            mark = "\\*" if each.live else ""
+            row = f"| `{name}`{mark} | `{_text(each.default)}` | {each.accepted} | {_cell(about)} |"
             rows += [row] * (row not in rows)  # the same of each joint is one row
     return "\n".join(rows)
 
 
 def _qos_table(nodes: Sequence[NodeReference]) -> str:
-    rows = ["| node | topic | depth | reliability | durability |", "|---|---|---|---|---|"]
+    rows = ["| node | topics | depth, reliability, durability |", "|---|---|---|"]
     for node in nodes:
         values = {each.name.removeprefix(_QOS): each.default for each in node.parameters if each.name.startswith(_QOS)}
+        topics_of: dict[str, list[str]] = {}
         for topic in dict.fromkeys(name.rpartition(".")[0] for name in values):
-            chosen = " | ".join(str(values[f"{topic}.{policy}"]) for policy in _POLICIES)
-            rows.append(f"| `{node.name}` | `{topic}` | {chosen} |")
+            chosen = ", ".join(str(values[f"{topic}.{policy}"]) for policy in _POLICIES)
+            topics_of.setdefault(chosen, []).append(f"`{topic}`")
+        rows += [f"| `{node.name}` | {', '.join(topics)} | {chosen} |" for chosen, topics in topics_of.items()]
     return "\n".join(rows)
 
 

@@ -1,4 +1,7 @@
-"""The parser of each node and each verb of `rx90`, by its name, as `sphinx-argparse` asks for them."""
+"""The parser of each node and each verb of `rx90`, by its name, as `sphinx-argparse` asks for them.
+
+On the page of the commands, `{commands}` stands for a section of each with its options.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,21 @@ from argparse import ArgumentParser, _SubParsersAction
 from collections.abc import Callable, Iterator
 from functools import partial
 
+from sphinx.application import Sphinx
+
 from rx90_emulator.cli.frame import NODES, VERBS
 from rx90_emulator.cli.options import command_of
+
+_SECTION = """## {title}
+
+```{{eval-rst}}
+.. argparse::
+   :module: command_parsers
+   :func: {name}
+   :prog: {title}
+   :nodefault:
+```
+"""
 
 
 def _parser(name: str) -> ArgumentParser:
@@ -38,3 +54,19 @@ def __getattr__(name: str) -> Callable[[], ArgumentParser]:
     if name not in (*NODES, *VERBS):
         raise AttributeError(name)
     return partial(_parser, name)
+
+
+def sections() -> str:
+    """Return a section for each node and verb, as Markdown."""
+    titles = {name: name if name in NODES else f"rx90 {name}" for name in (*NODES, *VERBS)}
+    return "\n".join(_SECTION.format(name=name, title=title) for name, title in titles.items())
+
+
+def _write_sections(_: Sphinx, __: str, source: list[str]) -> None:
+    source[0] = source[0].replace("```{commands}\n```", sections())
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Write the sections before a page is read."""
+    app.connect("source-read", _write_sections)
+    return {"parallel_read_safe": True}

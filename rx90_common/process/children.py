@@ -1,4 +1,8 @@
-"""Child processes: start them, wait for their output, leave none behind; see docs/explanation/processes.md."""
+"""Child processes: start them, wait for their output, leave none behind.
+
+A child has a session of its own, so that Ctrl-C in the terminal reaches the parent alone, and a pipe as standard input,
+which closes when the parent ends, even by `kill -9`: then the child interrupts itself.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""Ctrl-C, requests to end and exit codes, handled at safe points; see docs/explanation/processes.md."""
+"""Ctrl-C, requests to end and exit codes, handled at safe points.
+
+SIGTERM, and SIGHUP unless it is ignored, have the same effect as Ctrl-C. In a command all three raise
+KeyboardInterrupt: it removes incomplete files, ends its children and switches the rig off. Nodes, recorder and
+emulated rig only set a `StopRequest`, which needs no lock. Workers of a sweep are forked with the signals blocked;
+their parent ends them.
+"""
 
 from __future__ import annotations
 
