@@ -7,7 +7,7 @@ that whatever else the machine does meets both; and the rate of free-running tim
 process, alone, and with everything recorded by another one. speed: simulation, controller, line and recorder in four
 processes, with the processor time and the wake-ups of each part; not paced, or with --real-time. Processor time is what
 the system counts for each thread; it says less about what else the machine does than wall time does.
-docs/explanation/speed.md explains its table. own_controller: a Python effort controller at 1 kHz, over DDS with plain
+own_controller: a Python effort controller at 1 kHz, over DDS with plain
 rclpy and in one process with the arm, in turns with the four processes. Each recorded run is compared with the closed
 loop without ROS, message by message: none may be missing, no bit may differ.
 """
