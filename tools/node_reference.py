@@ -105,23 +105,26 @@ def _type(kind: Any) -> str:
 def with_tables(page: str, nodes: Sequence[NodeReference]) -> str:
     """Return the text of a page with its tables written anew."""
     by_name = {node.name: node for node in nodes}
+    before: list[str] = []  # what an earlier table has
 
     def written(place: re.Match[str]) -> str:
-        table = _parameter_table(by_name[place[3]]) if place[3] else _qos_table(nodes)
+        table = _parameter_table(by_name[place[3]], before) if place[3] else _qos_table(nodes)
         return f"{place[1]}{table}\n{place[5]}"
 
     return _PLACE.sub(written, page)
 
 
-def _parameter_table(node: NodeReference) -> str:
-    rows = ["| parameter | default | accepted | meaning |", "|---|---|---|---|"]
+def _parameter_table(node: NodeReference, before: list[str]) -> str:
+    rows: list[str] = []
     for each in node.parameters:
         if not each.name.startswith(_QOS):
             name, about = (_JOINT.sub("<joint>", text) for text in (each.name, each.about))
             mark = "\\*" if each.live else ""
             row = f"| `{name}`{mark} | `{_text(each.default)}` | {each.accepted} | {_cell(about)} |"
-            rows += [row] * (row not in rows)  # the same of each joint is one row
-    return "\n".join(rows)
+            if row not in rows and row not in before:  # the same of each joint is one row
+                rows.append(row)
+    before += rows
+    return "\n".join(["| parameter | default | accepted | meaning |", "|---|---|---|---|", *rows])
 
 
 def _qos_table(nodes: Sequence[NodeReference]) -> str:
