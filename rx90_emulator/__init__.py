@@ -9,26 +9,22 @@
     run.series["joint_states"].position                                     # rad, a row for each stamp
     rx.write_bag(run, "out/stiff")                                          # as if the nodes had been recorded
 
-Setups          load_setup, parameters, with_parameters, Setup, Rates, RobotFiles
+Setups          load_setup, parameters, with_parameters, Setup, Rates, RobotFiles; their friction: FrictionFile,
+                FrictionElement; for other simulators: export_robot, write_export
 Motions         load_task, plan_line, load_trajectory, LineTask, TrajectoryPoints; of lines, arcs and splines:
                 load_path, plan_path, Path, Segment
 Runs            run_line, run_path, simulate, path_accuracy, RunResult; of set-points in a bag: followed_accuracy;
-                with a controller of one's own: run_controller
-Corrections     learn_correction, load_correction, write_correction, NormOptimal, TrajectoryPath, CorrectionFile,
-                LearnedCorrection; from a record: Learner, measured, learn_from_record
-Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save_arrays, JointSeries
-Comparison      compare_bags, compare_series, comparison_text, Scope, Tolerances, Verdict
-Measured runs   compare_measured, measured_summary, write_measured, MeasuredLayout, MeasuredTolerances
-Friction        FrictionFile, FrictionElement, and its parts LoadPart, TemperaturePart, RipplePart, ScatterPart,
-                ElastoPlastic, MaxwellSlip
-Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, Block, SweptParameter, Values, Uniform,
-                LogUniform, Normal
+                with a controller of one's own: run_controller; many of them: load_sweep_plan, run_sweep, read_sweep,
+                Sweep, SweepPlan; a refusal, in a line with the offending value and what is accepted: Rx90Error; a
+                warning of a run that means less than it seems to: Rx90Warning
+Corrections     learn_correction, load_correction, write_correction, NormOptimal, TrajectoryPath; from a record:
+                Learner, measured, learn_from_record
+Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save_arrays, JointSeries; compared:
+                compare_bags, compare_series, comparison_text, Scope, Tolerances, Verdict; of a real arm beside the
+                model: compare_measured, measured_summary, write_measured, MeasuredLayout
 Identification  plan_experiments, record_on_engine, identify_friction, identification_summary, write_identification,
-                check_friction, IdentificationBags, RobotOptions, ValidationTolerances; from excitation runs:
-                identify_excitation; for one of your own: regressor, excitation_problem, predict_torque, RigidArm
-Exports         export_robot, write_export
-Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted;
-                Rx90Warning, of a run that means less than it seems to
+                check_friction, IdentificationBags, RobotOptions; from excitation runs: identify_excitation; for one of
+                your own: regressor, excitation_problem, predict_torque, RigidArm
 
 Units are SI throughout. Setups, tasks and results are frozen: with_parameters() and dataclasses.replace() give changed
 copies; help() of a result explains its fields. Files are named by a path, or by the name of a shipped file below
@@ -60,11 +56,6 @@ if TYPE_CHECKING:
     from rx90_common.description.robot_files import RobotFiles as RobotFiles
     from rx90_common.friction import FrictionElement as FrictionElement
     from rx90_common.friction.friction_file import FrictionFile as FrictionFile
-    from rx90_common.friction.parts.bristles import ElastoPlastic as ElastoPlastic, MaxwellSlip as MaxwellSlip
-    from rx90_common.friction.parts.load import LoadPart as LoadPart
-    from rx90_common.friction.parts.ripple import RipplePart as RipplePart
-    from rx90_common.friction.parts.scatter import ScatterPart as ScatterPart
-    from rx90_common.friction.parts.temperature import TemperaturePart as TemperaturePart
     from rx90_controller.lines.task import LineTask as LineTask, load_task as load_task
     from rx90_controller.paths.path import Path as Path
     from rx90_controller.paths.path import Segment as Segment
@@ -74,12 +65,10 @@ if TYPE_CHECKING:
         write_export as write_export,
     )
     from rx90_emulator.correction.file import (
-        CorrectionFile as CorrectionFile,
         load_correction as load_correction,
         write_correction as write_correction,
     )
     from rx90_emulator.correction.learning import (
-        LearnedCorrection as LearnedCorrection,
         Learner as Learner,
         learn_correction as learn_correction,
     )
@@ -106,13 +95,11 @@ if TYPE_CHECKING:
     from rx90_emulator.identification.options import (
         MeasuredLayout as MeasuredLayout,
         RobotOptions as RobotOptions,
-        ValidationTolerances as ValidationTolerances,
     )
     from rx90_emulator.identification.output.summary import (
         identification_summary as identification_summary,
     )
     from rx90_emulator.measured_runs.compare import compare_measured as compare_measured
-    from rx90_emulator.measured_runs.options import MeasuredTolerances as MeasuredTolerances
     from rx90_emulator.measured_runs.output import (
         measured_summary as measured_summary,
         write_measured as write_measured,
@@ -134,13 +121,7 @@ if TYPE_CHECKING:
     from rx90_emulator.loop.path_file import load_trajectory as load_trajectory
     from rx90_emulator.sweep.execution import run_sweep as run_sweep
     from rx90_emulator.sweep.plan import (
-        Block as Block,
-        LogUniform as LogUniform,
-        Normal as Normal,
         SweepPlan as SweepPlan,
-        SweptParameter as SweptParameter,
-        Uniform as Uniform,
-        Values as Values,
         load_sweep_plan as load_sweep_plan,
     )
     from rx90_emulator.sweep.store import read_sweep as read_sweep

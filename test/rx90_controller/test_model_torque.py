@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 from own_model import by_model, with_friction
 from scipy.integrate import solve_ivp
 
-import rx90_emulator as rx
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.description.drives import COLD
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
+from rx90_common.friction.parts.load import LoadPart
+from rx90_common.friction.parts.ripple import RipplePart
+from rx90_common.friction.parts.scatter import ScatterPart
+from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_common.rigid_torque import rigid_torque
 from rx90_controller.law.cs7b import CS7B, law_reset, law_state_dtype, position_loop, velocity_loop
 from rx90_controller.law.model import ArmModel
@@ -234,7 +237,7 @@ def test_it_counts_for_saturation_and_anti_windup(shipped: Setup, tmp_path: Path
 
 HERE = np.array([0.3, -0.4, 1.5, 0.4, 0.8, -0.5])
 VELOCITY = np.array([0.05, -0.04, 0.06, -0.05, 0.07, 0.03])
-WARM = rx.TemperaturePart(
+WARM = TemperaturePart(
     reference=40.0,
     lowest=15.0,
     highest=90.0,
@@ -272,9 +275,9 @@ def moved(controller: CS7B, ticks: int, velocity: Array, start: Array = HERE) ->
 def test_load_ripple_and_temperature_are_those_of_the_set_point(shipped: Setup, tmp_path: Path) -> None:
     """In steady motion it is the sliding torque of angle, temperature and load, which Pinocchio tells."""
     ripple = {"joint_harmonic": (3.0,), "joint_amplitude": (0.2,), "joint_phase": (0.4,)}
-    load = rx.LoadPart(driving=0.06, driven=0.11, stribeck_driving=0.03, stribeck_driven=0.05)
+    load = LoadPart(driving=0.06, driven=0.11, stribeck_driving=0.03, stribeck_driven=0.05)
     ticks = 1500
-    controller, elements = parted(shipped, tmp_path, load=load, ripple=rx.RipplePart(**ripple), temperature=WARM)
+    controller, elements = parted(shipped, tmp_path, load=load, ripple=RipplePart(**ripple), temperature=WARM)
     got = moved(controller, ticks, VELOCITY)[-1]
     late = controller.law["model"]["lead"][0]
     there = HERE + ((ticks - 1) * shipped.rates.position_period + late) * VELOCITY
@@ -382,7 +385,7 @@ KINDS: dict[str, Callable[[FrictionElement], Any]] = {
 
 def test_at_rest_parts_move_nothing(shipped: Setup, tmp_path: Path) -> None:
     """Once the set-points rest, load and temperature go on changing, and what is fed forward keeps its bits."""
-    load, part = rx.LoadPart(driving=0.2, driven=0.3, relax_time=0.1), WARM.replaced(capacity=0.5)
+    load, part = LoadPart(driving=0.2, driven=0.3, relax_time=0.1), WARM.replaced(capacity=0.5)
     for name, kind in KINDS.items():
         elements = [e.replaced(load=load, temperature=part, bristles=kind(e)) for e in shipped.friction.elements]
         setup = with_friction(by_model(shipped, inverse_dynamics=False), elements, tmp_path / f"{name}.yaml")
@@ -404,8 +407,8 @@ def test_scatter_counts_with_its_mean(shipped: Setup, tmp_path: Path) -> None:
     scattered, _ = parted(
         shipped,
         files[0],
-        scatter=rx.ScatterPart(deviation=0.05, correlation_time=0.1),
-        load=rx.LoadPart(driving=0.1, driven=0.1),
+        scatter=ScatterPart(deviation=0.05, correlation_time=0.1),
+        load=LoadPart(driving=0.1, driven=0.1),
     )
-    plain, _ = parted(shipped, files[1], load=rx.LoadPart(driving=0.1, driven=0.1))
+    plain, _ = parted(shipped, files[1], load=LoadPart(driving=0.1, driven=0.1))
     assert np.array_equal(moved(scattered, 300, VELOCITY), moved(plain, 300, VELOCITY))

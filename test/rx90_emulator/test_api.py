@@ -20,6 +20,7 @@ import pytest
 
 import rx90_emulator as rx
 from rx90_common.base.share import config_path
+from rx90_common.friction.parts.temperature import TemperaturePart
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs/tutorials/python.md"
@@ -66,6 +67,9 @@ def test_every_name_explains_itself() -> None:
     imports = (node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom))
     typed = {one.asname: node.module for node in imports for one in node.names if one.asname == one.name}
     assert typed == rx._HOMES
+    assert len(typed) <= 70
+    groups = re.findall(r"^(\w[\w ]{0,14}\w) {1,}(?=\w+, )", rx.__doc__ or "", re.MULTILINE)
+    assert groups == ["Setups", "Motions", "Runs", "Corrections", "Series and bags", "Identification"]
     help_text = pydoc.plain(pydoc.render_doc(rx))
     assert help_text.index("Setups ") < help_text.index("PACKAGE CONTENTS")
     documented = set(re.findall(r"^    (?:class )?(\w+)(?:\(| = class)", help_text, re.MULTILINE))
@@ -164,7 +168,7 @@ def test_the_api_warns_of_what_rx90_run_announces(tmp_path: Path) -> None:
 
     A constant c1 of 100 Nm s/rad on 25 Nm is passive below 4 tau_c / c1 = 1 rad/s; 0.01 J/K warm at once.
     """
-    warm = rx.TemperaturePart(
+    warm = TemperaturePart(
         reference=40.0,
         lowest=20.0,
         highest=41.0,

@@ -6,12 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import rx90_emulator as rx
+from rx90_common.friction.parts.load import LoadPart
+from rx90_common.friction.parts.ripple import RipplePart
+from rx90_common.friction.parts.scatter import ScatterPart
+from rx90_common.friction.parts.temperature import TemperaturePart
 
 PARTS: dict[str, Any] = {
-    "load": rx.LoadPart(driving=0.05, driven=0.1),
-    "ripple": rx.RipplePart(motor_harmonic=(2.0,), motor_amplitude=(0.1,)),
-    "scatter": rx.ScatterPart(deviation=0.05, correlation_time=0.2),
-    "temperature": rx.TemperaturePart(
+    "load": LoadPart(driving=0.05, driven=0.1),
+    "ripple": RipplePart(motor_harmonic=(2.0,), motor_amplitude=(0.1,)),
+    "scatter": ScatterPart(deviation=0.05, correlation_time=0.2),
+    "temperature": TemperaturePart(
         reference=40.0,
         lowest=20.0,
         highest=90.0,

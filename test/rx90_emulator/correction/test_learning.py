@@ -19,7 +19,16 @@ from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
 from rx90_emulator.cli.frame import run
-from rx90_emulator.correction.learning import ENGINE, CorrectionError, Learner, Measured, learn, run_corrected
+from rx90_emulator.correction.file import CorrectionFile
+from rx90_emulator.correction.learning import (
+    ENGINE,
+    CorrectionError,
+    LearnedCorrection,
+    Learner,
+    Measured,
+    learn,
+    run_corrected,
+)
 from rx90_emulator.correction.methods import best_change, gains, response
 from rx90_emulator.correction.path import TrajectoryPath
 from rx90_emulator.correction.precompensation import corrected_trajectory, travelled_error
@@ -188,7 +197,7 @@ def test_an_arm_goes_on_where_the_engine_has_ended(shipped: Setup, task: rx.Line
     engine, error = earlier.worst[-1], run_corrected(shipped, plan, earlier.correction)[1].joints
     record = "encoders, record"
 
-    def trial(factor: float, before: rx.CorrectionFile) -> tuple[rx.LearnedCorrection, str]:
+    def trial(factor: float, before: CorrectionFile) -> tuple[LearnedCorrection, str]:
         learner = Learner(shipped, plan, previous=before.correction.offsets)
         return learn_from_record(learner, Measured(factor * error), before)
 
@@ -211,7 +220,7 @@ def test_an_arm_goes_on_where_the_engine_has_ended(shipped: Setup, task: rx.Line
     assert np.array_equal(learned.best_offsets, file.correction.offsets)
 
 
-def kept(learned: rx.LearnedCorrection, earlier: rx.CorrectionFile | None, file: Path) -> rx.CorrectionFile:
+def kept(learned: LearnedCorrection, earlier: CorrectionFile | None, file: Path) -> CorrectionFile:
     """Write a correction, and read it again."""
     rx.write_correction(learned, file, earlier)
     return rx.load_correction(file)

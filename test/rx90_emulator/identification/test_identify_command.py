@@ -22,6 +22,7 @@ from rx90_common.process.files import write_all
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import identify as identify_bags
 from rx90_emulator.identification import job as identify_job
+from rx90_emulator.identification.options import ValidationTolerances
 from rx90_emulator.identification.output.report import check_page
 from rx90_emulator.identification.output.summary import check_summary
 from rx90_emulator.identification.validation.prediction import Validation
@@ -198,7 +199,7 @@ def validation(error: float) -> Validation:
     moves = np.stack([time >= 0.0, time < 0.0], axis=1)
     torque = TorquePrediction(time, recorded, predicted, moves)
     nothing = np.zeros(0)
-    return Validation(("joint_1", "joint_2"), torque, nothing, nothing, rx.ValidationTolerances(), "bag")
+    return Validation(("joint_1", "joint_2"), torque, nothing, nothing, ValidationTolerances(), "bag")
 
 
 @pytest.mark.parametrize(("error", "confirmed"), [(0.04, True), (0.06, False)])
