@@ -242,12 +242,6 @@ def refusal(key: str, value: object, accepted: str) -> PydanticCustomError:
     return PydanticCustomError(_REFUSED, "{key} is {value}; accepted: {accepted}", context)
 
 
-def spread(block: AnyModel, count: int) -> AnyModel:
-    """Return a mapping whose lists of a single value have it for each of so many joints."""
-    single = {key: values * count for key, values in block if isinstance(values, tuple) and len(values) == 1}
-    return block.model_copy(update=single)
-
-
 def check_counts(blocks: Iterable[tuple[str, Any]], count: int, like: str) -> None:
     """Refuse a list of one value for each joint, in blocks by name, that is longer or shorter than the list `like`."""
     for name, block in blocks:
