@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import asdict
 
 from rx90_common.bags.comparison import BagComparison, TopicComparison, ValueDifference, Verdict
 from rx90_common.bags.summary import BagSummary, TopicSummary
-from rx90_common.base.quoting import counted, listed, plain
+from rx90_common.base.quoting import aligned, counted, listed, plain
 from rx90_common.base.rates import NANOSECONDS
 
 _WORDS = {Verdict.SAME: "same", Verdict.DIFFERS: "DIFFERS", Verdict.INCOMPARABLE: "CANNOT BE COMPARED"}
@@ -53,7 +52,7 @@ def _topic_text(topic: TopicComparison) -> str:
         lines[0] += f", {counted(topic.pairs, 'message')} compared, t = {low} to {high} s"
     lines += [f"  {reason}" for reason in topic.reasons]
     rows = [_value_row(value) for value in topic.values if value.maximum or value.beyond]
-    return "\n".join([*lines, *([_table(_COMPARED, rows)] if rows else [])])
+    return "\n".join([*lines, *(aligned([_COMPARED, *rows]) if rows else [])])
 
 
 def _value_row(value: ValueDifference) -> tuple[str, ...]:
@@ -79,7 +78,7 @@ def summary_json(summary: BagSummary) -> str:
 def summary_text(summary: BagSummary) -> str:
     """Return a table of the topics below one line about the whole bag."""
     head = f"{plain(summary.path)}: {counted(summary.count, 'message')}"
-    return f"{head}\n{_table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics])}"
+    return "\n".join([head, *aligned([_SUMMARISED, *map(_topic_row, summary.topics)])])
 
 
 def _topic_row(topic: TopicSummary) -> tuple[str, ...]:
@@ -106,10 +105,3 @@ def _topic_row(topic: TopicSummary) -> tuple[str, ...]:
 
 def _seconds(time_ns: int | None) -> str:
     return "" if time_ns is None else f"{time_ns / NANOSECONDS:.6f}"
-
-
-def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return headings and rows in columns as wide as their widest cell."""
-    widths = [max(map(len, column)) for column in zip(headings, *rows, strict=True)]
-    lines = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in (headings, *rows)]
-    return "\n".join("  ".join(line).rstrip() for line in lines)

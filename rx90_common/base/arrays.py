@@ -1,4 +1,4 @@
-"""Short names for types of arrays, whose shapes docstrings state, how long they may be, and extremes of their rows."""
+"""Short names for types of arrays, whose shapes docstrings state, and how long they may be."""
 
 from __future__ import annotations
 
@@ -23,13 +23,3 @@ def array_digest(*arrays: NDArray[Any] | None) -> str:
     for array in arrays:
         digest.update(b"none" if array is None else repr(array.shape).encode() + (array + 0).tobytes())
     return digest.hexdigest()[:32]
-
-
-def least_and_largest(values: Array, starts: Index) -> tuple[Array, Array]:
-    """Return the extremes of groups of rows, each shape (m, ...), NaN where a group holds nothing else.
-
-    Args:
-        values: shape (n, ...).
-        starts: first row of each group, which ends before the next one or at the end; increasing, shape (m,).
-    """
-    return np.fmin.reduceat(values, starts, axis=0), np.fmax.reduceat(values, starts, axis=0)

@@ -46,10 +46,14 @@ Provenance: TypeAlias = Literal["published", "derived", "assumed", "identified"]
 
 _REFUSED: Final = "refused"
 _UNKNOWN_KEY: Final = "extra_forbidden"
+_UNKNOWN_KIND: Final = "union_tag_invalid"
+_NO_KIND: Final = "union_tag_not_found"
+_MISSING: Final = {"missing", _NO_KIND}
 _MAX_FAULTS: Final = 20
-"""Misspelt keys that are told at most, and as many other faults."""
-_MISSING: Final = {"missing", "union_tag_not_found"}
-_BRANCH_FAULTS: Final = {"union_tag_invalid", "union_tag_not_found"}
+"""That are told at most."""
+_NULL: Final = {"type": "null"}
+_OF_ALL_KINDS: Final = ("accepted", "description", "unit", "default", "discriminator")
+"""What a schema says of all kinds of value that it accepts."""
 
 
 class Model(BaseModel):
@@ -238,12 +242,6 @@ def refusal(key: str, value: object, accepted: str) -> PydanticCustomError:
     return PydanticCustomError(_REFUSED, "{key} is {value}; accepted: {accepted}", context)
 
 
-def spread(block: AnyModel, count: int) -> AnyModel:
-    """Return a mapping whose lists of a single value have it for each of so many joints."""
-    single = {key: values * count for key, values in block if isinstance(values, tuple) and len(values) == 1}
-    return block.model_copy(update=single)
-
-
 def check_counts(blocks: Iterable[tuple[str, Any]], count: int, like: str) -> None:
     """Refuse a list of one value for each joint, in blocks by name, that is longer or shorter than the list `like`."""
     for name, block in blocks:
@@ -359,49 +357,32 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
         content: that was validated, if it came from a file.
     """
     schema = schema_of(model)
-    every = error.errors(include_url=False)
-    unknown = [fault for fault in every if fault["type"] == _UNKNOWN_KEY]
-    others = [fault for fault in every if fault["type"] != _UNKNOWN_KEY]
-    told = unknown[:_MAX_FAULTS] + others[:_MAX_FAULTS]
-    faults = [(fault, _place_of(fault, schema, content)) for fault in told]
-    places = [place for _, place in faults]
+    every = sorted(error.errors(include_url=False), key=lambda fault: fault["type"] != _UNKNOWN_KEY)
+    faults = [(fault, _place_of(fault, schema, content)) for fault in every[:_MAX_FAULTS]]
     lines: list[str] = []
     meant: set[Place] = set()
     for fault, place in faults:
+        around = schema_at(schema, place[:-1], content).get("properties", {})
+        given = value_at(content, place[:-1])
         if fault["type"] == _UNKNOWN_KEY:
-            node = schema_at(schema, place[:-1], content)
-            near = nearest(str(place[-1]), _missing(node, value_at(content, place[:-1])))
+            near = nearest(str(place[-1]), (key for key in around if not _holds(given, key)))
             meant.add((*place[:-1], near))
-            lines.append(_unknown_key(where, place, near, node))
-    for fault, place in faults:
-        if fault["type"] == _UNKNOWN_KEY or any(inner != place and inner[: len(place)] == place for inner in places):
-            continue  # of several kinds of value, another one is meant
-        if fault["type"] in _MISSING and place in meant:
+            lines.append(_unknown_key(_where(where, place), near, around))
+        elif fault["type"] in _MISSING and place in meant:
             continue  # one mistake would be told twice
-        misspelt = _misspelt_tag(fault, place, where, schema, content)
-        if misspelt:
-            lines.insert(0, misspelt)
-        else:
-            lines.append(_line(schema, fault, place, where, content))
+        elif fault["type"] == _NO_KIND and (odd := nearest(str(place[-1]), given.keys() - around.keys())):
+            lines.insert(0, _unknown_key(_where(where, (*place[:-1], odd)), str(place[-1]), around))
+        elif not any(inner != place and inner[: len(place)] == place for _, inner in faults):
+            lines.append(_line(schema, fault, place, where, content))  # else of several kinds of value another is meant
     lines = list(dict.fromkeys(lines))  # two kinds of a union, or both signs, say the same
-    if len(told) < len(every):
-        lines.append(f"{where}{': ' if where else ''}{len(every) - len(told):,} more faults, which are not told")
+    if len(every) > _MAX_FAULTS:
+        lines.append(f"{where}{': ' if where else ''}{len(every) - _MAX_FAULTS:,} more faults, which are not told")
     return lines
 
 
-def _misspelt_tag(fault: Mapping[str, Any], place: Place, where: str, schema: JsonSchema, content: Any) -> str:
-    """Return the line for a key that should be the one that chooses a kind; empty if there is none like it."""
-    given = value_at(content, place[:-1])
-    if fault["type"] not in _MISSING or not isinstance(given, Mapping):
-        return ""
-    node = schema_at(schema, place[:-1], content)
-    near = nearest(str(place[-1]), (str(key) for key in given if key not in node.get("properties", {})))
-    return _unknown_key(where, (*place[:-1], near), str(place[-1]), node) if near else ""
-
-
-def _unknown_key(where: str, place: Place, near: str, node: JsonSchema) -> str:
-    keys = ", ".join(name for name in node.get("properties", {}) if name not in FileModel.about_keys)
-    return f"{_where(where, place)} is not a known key{question(near)}; accepted: {keys}"
+def _unknown_key(place: str, near: str, around: JsonSchema) -> str:
+    keys = ", ".join(key for key in around if key not in FileModel.about_keys)
+    return f"{place} is not a known key{question(near)}; accepted: {keys}"
 
 
 def accepted_values(schema: JsonSchema, root: JsonSchema | None = None) -> str:
@@ -476,61 +457,42 @@ def _line(schema: JsonSchema, fault: ErrorDetails, place: Place, where: str, con
     if fault["type"] == "value_error":
         return f"{_where(where, place)}: {context['error']}" if place or where else str(context["error"])
     accepted = accepted_values(schema_at(schema, place, content), schema)
-    value = fault["input"]
-    if fault["type"] in _BRANCH_FAULTS:
-        kinds = _kinds_at(schema, place[:-1], content)
-        accepted = f"one of {', '.join(kind['properties'][place[-1]]['const'] for kind in kinds)}"
-        value = value_at(value, place[-1:])
     if fault["type"] in _MISSING:
         return f"{_where(where, place)} is missing; accepted: {accepted}"
     if fault["type"] == "finite_number":
         accepted = accepted.replace("a number", "a finite number", 1)
+    value = context["tag"] if fault["type"] == _UNKNOWN_KIND else fault["input"]
     return f"{_where(where, place)} is {quoted(value)}; accepted: {accepted}"
 
 
 def _where(where: str, place: Sequence[str | int]) -> str:
-    path = ""
-    for key in place:
-        if isinstance(key, int):
-            path += f"[{key}]"
-        else:
-            path += f".{plain(key)}" if path else plain(key)
-    return f"{where}: {path}" if where and path else where or path or "the value"
+    path = "".join(f"[{key}]" if isinstance(key, int) else f".{plain(key)}" for key in place).removeprefix(".")
+    return ": ".join(filter(None, (where, path))) or "the value"
 
 
 def _place_of(fault: ErrorDetails, schema: JsonSchema, content: Any) -> Place:
-    """Return the place of a fault in the file; of a missing key where it would stand, of a choice its key."""
-    if fault["type"] == "missing":
-        return (*_place_in_file(fault["loc"][:-1], schema, content), fault["loc"][-1])
-    place = _place_in_file(fault["loc"], schema, content)
-    if fault["type"] in _BRANCH_FAULTS:
-        return (*place, fault["ctx"]["discriminator"].strip("'"))
-    return place
+    """Return the place of a fault in the file, without what pydantic adds to it, as the names of a union's kinds.
 
-
-def _place_in_file(loc: Place, schema: JsonSchema, content: Any) -> Place:
-    """Return a place as it stands in the file: without what pydantic adds to it, as the names of a union's kinds."""
+    It is that of a missing key where it would stand, of a kind that is none the key that chooses it.
+    """
     if content is None:
-        return loc
+        return fault["loc"]
     place: list[str | int] = []
     value = content
-    names = _names_of_kinds(schema, (), content)
-    for key in loc:
-        if key in names:
-            names = []
+    kind = None
+    for key in fault["loc"]:
+        if key == kind:
+            kind = None
         elif _holds(value, key):
             place.append(key)
             value = value[key]
-            names = _names_of_kinds(schema, tuple(place), content)
+            chooser = schema_at(schema, tuple(place), content).get("discriminator", {}).get("propertyName")
+            kind = value_at(value, (chooser,))
+    if fault["type"] == "missing":
+        place.append(fault["loc"][-1])
+    elif "discriminator" in fault.get("ctx", {}):
+        place.append(fault["ctx"]["discriminator"].strip("'"))
     return tuple(place)
-
-
-def _names_of_kinds(schema: JsonSchema, place: Place, content: Any) -> list[Any]:
-    """Return the texts by which the kinds of mapping at a place are told apart."""
-    kinds = _kinds_at(schema, place, content)
-    if len(kinds) == 1:
-        return []
-    return [key["const"] for kind in kinds for key in kind.get("properties", {}).values() if "const" in key]
 
 
 def _holds(value: Any, key: str | int) -> bool:
@@ -540,25 +502,17 @@ def _holds(value: Any, key: str | int) -> bool:
 
 
 def value_at(content: Any, place: Place) -> Any:
-    """Return the value at a place of plain data, None if there is none."""
+    """Return the value at a place of plain data, an empty mapping if there is none."""
     value = content
     for key in place:
-        value = value[key] if _holds(value, key) else None
+        value = value[key] if _holds(value, key) else {}
     return value
-
-
-def _missing(node: JsonSchema, mapping: Any) -> list[str]:
-    present = mapping if isinstance(mapping, Mapping) else {}
-    return [name for name in node.get("properties", {}) if name not in present]
 
 
 def _resolved(schema: JsonSchema, root: JsonSchema) -> JsonSchema:
     """Return a schema whose own reference, if it is one, is replaced by what it stands for."""
-    if "$ref" not in schema:
-        return schema
-    name = schema["$ref"].rpartition("/")[2]
-    rest = {key: value for key, value in schema.items() if key != "$ref"}
-    return {**root.get("$defs", {}).get(name, {}), **rest}
+    name = schema.get("$ref", "").rpartition("/")[2]
+    return {**root.get("$defs", {}).get(name, {}), **schema}
 
 
 def schema_at(root: JsonSchema, place: Place, content: Any = None) -> JsonSchema:
@@ -569,51 +523,38 @@ def schema_at(root: JsonSchema, place: Place, content: Any = None) -> JsonSchema
         place: of the value.
         content: of the whole, if it is known: tells which of several kinds a value is meant for.
     """
-    kinds = _kinds_at(root, place, content)
-    if len(kinds) > 1 and not isinstance(value_at(content, place), Mapping):
-        return {"anyOf": kinds}
-    return kinds[0] if kinds else {}
+    schema = root
+    for k, key in enumerate(place):
+        schema = _inner(_meant(schema, root, value_at(content, place[:k])), key)
+    return _meant(schema, root, value_at(content, place))
 
 
-def _kinds_at(root: JsonSchema, place: Place, content: Any) -> list[JsonSchema]:
-    """Return the schemas of the kinds of value that there may be at a place, that which is meant first."""
-    kinds = _kinds(root, root, content)
-    value = content
-    for key in place:
-        inner = [schema for schema in (_inner(kind, key) for kind in kinds) if schema]
-        value = value[key] if _holds(value, key) else None
-        kinds = _kinds(inner[0], root, value) if inner else []
-    return kinds
-
-
-def _kinds(schema: JsonSchema, root: JsonSchema, value: Any) -> list[JsonSchema]:
-    """Return the kinds of value that a schema has, that which a value is meant for first."""
+def _meant(schema: JsonSchema, root: JsonSchema, value: Any) -> JsonSchema:
+    """Return that kind of value which a value is meant for; of values without keys all kinds together."""
     schema = _resolved(schema, root)
-    alternatives = None if "properties" in schema else schema.get("anyOf", schema.get("oneOf"))
-    if alternatives is None:
-        return [schema]
-    kinds: list[JsonSchema] = []
-    for kind in alternatives:
-        if kind.get("type") != "null":
-            kinds += _kinds(kind, root, value)
-    if isinstance(value, Mapping):
-        kinds.sort(key=lambda kind: -_likeness(kind, value))
-    words: JsonSchema = {key: schema[key] for key in ("accepted", "description", "unit", "default") if key in schema}
-    return [{**kind, **words} for kind in kinds]
+    kinds = [_meant(kind, root, value) for kind in schema.get("anyOf", schema.get("oneOf", ())) if kind != _NULL]
+    if "properties" in schema or not kinds or (len(kinds) > 1 and not isinstance(value, Mapping)):
+        return schema
+    words = {key: schema[key] for key in _OF_ALL_KINDS if key in schema}
+    return {**max(kinds, key=lambda kind: _likeness(kind, value)), **words}
 
 
-def _likeness(schema: JsonSchema, mapping: Mapping[str, Any]) -> int:
-    """Return how many keys of a mapping a schema knows; one that has another text where it must is out of question."""
+def _likeness(schema: JsonSchema, value: Any) -> tuple[bool, bool, int]:
+    """Return whether a value can be of a kind of mapping, by texts that must be there, and how many keys it shares."""
+    if not isinstance(value, Mapping):
+        return False, False, 0
     properties = schema.get("properties", {})
-    texts = {key: inner["const"] for key, inner in properties.items() if "const" in inner}
-    excluded = any(mapping.get(key, text) != text for key, text in texts.items())
-    return -1 if excluded or schema.get("type") != "object" else len(mapping.keys() & properties.keys())
+    known = value.keys() & properties.keys()
+    fits = all(value[key] == properties[key].get("const", value[key]) for key in known)
+    return schema.get("type") == "object", fits, len(known)
 
 
 def _inner(schema: JsonSchema, key: str | int) -> JsonSchema:
     if isinstance(key, int):
         items = schema.get("prefixItems", ())
         inner = items[key] if key < len(items) else schema.get("items", {})
+    elif schema.get("discriminator", {}).get("propertyName") == key:
+        inner = {"enum": list(schema["discriminator"]["mapping"])}
     else:
         inner = schema.get("properties", {}).get(key, schema.get("additionalProperties", {}))
     return inner if isinstance(inner, dict) else {}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from itertools import islice
 from typing import Any, Final
@@ -79,6 +79,14 @@ def question(name: str) -> str:
 def one_line(text: object, limit: int = LINE_LIMIT) -> str:
     """Return a whole message as one line of bounded length; the results of `quoted` and `plain` stay unchanged."""
     return plain(text, limit)
+
+
+def aligned(rows: Sequence[Sequence[str]], right: Sequence[int] = (), widest: float = math.inf) -> list[str]:
+    """Return the rows of a table as lines; columns in `right` end together, cells above a width move what follows."""
+    columns = zip(*(map(len, row) for row in rows), strict=True)
+    widths = [max((size for size in column if size <= widest), default=0) for column in columns]
+    sides = [str.rjust if k in right else str.ljust for k in range(len(widths))]
+    return ["  ".join(side(cell, n) for side, cell, n in zip(sides, row, widths, strict=True)).rstrip() for row in rows]
 
 
 def _ends(limit: int) -> tuple[int, int]:

@@ -5,10 +5,8 @@ Every command imports this module: what is slow to import, the functions import 
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Iterable
-from functools import cache
 from pathlib import Path
 
 from rx90_common.base.errors import ConfigError
@@ -20,42 +18,10 @@ PACKAGES = ("rx90_common", "rx90_sim", "rx90_controller", "friction_bench", "rx9
 ROOT = Path(__file__).resolve().parents[2]
 """The folder that holds them: a checkout or a site-packages folder."""
 
-_CONSTANTS = re.compile(r"^from (\S+) import \(?\s*(?:\w+(?: as \w+)?,\s+)*[A-Z][A-Z0-9_]*\b", re.MULTILINE)
-"""An import of a constant, whose name is in capitals."""
-
-
-@cache
-def module_file(name: str) -> Path | None:
-    """Return the file of a module of this project, None for any other name."""
-    parts = name.split(".")
-    if parts[0] not in PACKAGES:
-        return None
-    path = ROOT.joinpath(*parts)
-    return next((file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None)
-
 
 def project_files() -> list[Path]:
     """Return all source files of this project, sorted."""
     return sorted(file for name in PACKAGES for file in (ROOT / name).rglob("*.py"))
-
-
-def files_with_kernels() -> list[Path]:
-    """Return the source files that decide on compiled code, sorted.
-
-    They are those of kernels, which import `rx90_common.kernels.compiled`, and those from which these import constants.
-    Others, such as the models of files, have no part in it.
-    """
-    importing = re.compile(r"^from rx90_common\.kernels\.compiled ", re.MULTILINE)
-    todo = [file for file in project_files() if importing.search(file.read_text(encoding="utf-8"))]
-    todo += (ROOT / "rx90_common/kernels").glob("*.py")
-    files: set[Path] = set()
-    while todo:
-        file = todo.pop()
-        if file not in files:
-            files.add(file)
-            sources = map(module_file, _CONSTANTS.findall(file.read_text(encoding="utf-8")))
-            todo.extend(source for source in sources if source is not None)
-    return sorted(files)
 
 
 def sources_hash(files: Iterable[Path], salt: str = "") -> str:

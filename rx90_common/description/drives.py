@@ -32,7 +32,6 @@ from rx90_common.base.models import (
     quantity,
     read_model,
     refusal,
-    spread,
 )
 from rx90_common.description.coupling import Coupling
 
@@ -309,7 +308,11 @@ class DriveParameters(FileModel):
     def _spread(cls, block: AnyModel, info: ValidationInfo) -> AnyModel:
         """Give each drive the single value of a list."""
         transmission = info.data.get("transmission")
-        return block if transmission is None else spread(block, len(transmission.gear))
+        if transmission is None:
+            return block
+        count = len(transmission.gear)
+        single = {key: values * count for key, values in block if isinstance(values, tuple) and len(values) == 1}
+        return block.model_copy(update=single)
 
     @model_validator(mode="after")
     def _check_counts(self) -> DriveParameters:

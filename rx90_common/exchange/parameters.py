@@ -10,7 +10,6 @@ from functools import partial
 from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, ValidationError, model_validator
-from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -26,7 +25,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from type_description_interfaces.srv import GetTypeDescription
 
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_common.base.models import FileModel, Model, as_refusal, fault_lines, quantity
+from rx90_common.base.models import FileModel, JsonSchema, Model, as_refusal, fault_lines, quantity, schema_of
 from rx90_common.base.quoting import nearest, plain, question, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, FILES, RobotFiles, robot_folder
@@ -139,30 +138,30 @@ def nested(values: Mapping[str, Any]) -> dict[str, Any]:
     return content
 
 
-def leaves(values: Model, before: str = "") -> Iterator[tuple[str, Any, FieldInfo]]:
-    """Yield name, value and declaration of each parameter."""
+def leaves(values: Model, before: str = "") -> Iterator[tuple[str, Any, JsonSchema]]:
+    """Yield name, value and JSON schema of each parameter."""
     for key, value in values:
         if key in FileModel.about_keys:
             continue
         if isinstance(value, Model):
             yield from leaves(value, f"{before}{key}.")
         else:
-            yield f"{before}{key}", value, type(values).model_fields[key]
+            yield f"{before}{key}", value, schema_of(type(values))["properties"][key]
 
 
-def _descriptor(field: FieldInfo, value: Any, read_only: bool) -> ParameterDescriptor:
-    extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-    unit = extra.get("unit", "1")
-    description = str(field.description)
-    if unit != "1":
-        description = f"{description} [{unit}]"
-    descriptor = ParameterDescriptor(description=description, read_only=bool(extra.get("read_only", read_only)))
-    least = next((rule.ge for rule in field.metadata if hasattr(rule, "ge")), None)
-    most = next((rule.le for rule in field.metadata if hasattr(rule, "le")), None)
-    if least is not None and most is not None and isinstance(value, float):
-        descriptor.floating_point_range = [FloatingPointRange(from_value=float(least), to_value=float(most))]
-    elif least is not None and most is not None and isinstance(value, int):
-        descriptor.integer_range = [IntegerRange(from_value=int(least), to_value=int(most), step=1)]
+def _descriptor(schema: JsonSchema, value: Any, read_only: bool) -> ParameterDescriptor:
+    unit = schema.get("unit", "1")
+    descriptor = ParameterDescriptor(
+        description=schema["description"] if unit == "1" else f"{schema['description']} [{unit}]",
+        read_only=schema.get("read_only", read_only),
+    )
+    if {"minimum", "maximum"} <= schema.keys():
+        low = type(value)(schema["minimum"])
+        high = type(value)(schema["maximum"])
+        if isinstance(value, int):
+            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
+        else:
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
     return descriptor
 
 
@@ -200,10 +199,10 @@ class NodeParameters:
     def declare(self, values: NodeModel) -> None:
         """Declare those parameters of a model that are not declared; a node that is not managed has them read-only."""
         read_only = not isinstance(self._node, LifecycleNode)
-        for name, value, field in leaves(values):
+        for name, value, schema in leaves(values):
             if not self._node.has_parameter(name):
                 plain_value = list(value) if isinstance(value, tuple) else value
-                descriptor = _descriptor(field, value, read_only)
+                descriptor = _descriptor(schema, value, read_only)
                 self._node.declare_parameter(name, plain_value, descriptor, ignore_override=True)
 
     def forget(self, *names: str) -> None:

@@ -35,8 +35,9 @@ from numba.core.registry import CPUDispatcher
 from numba.core.sigutils import normalize_signature
 from numba.extending import overload
 
-from rx90_common.base.share import files_with_kernels, module_file, sources_hash
+from rx90_common.base.share import sources_hash
 from rx90_common.kernels import compilation_begins
+from rx90_common.kernels.sources import files_with_kernels, module_file
 
 _UNUSED_S = 28 * 24 * 3600.0  # after which the folder of other sources is removed
 _FOLDER = re.compile(r"[0-9a-f]{16}")

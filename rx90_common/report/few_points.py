@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rx90_common.base.arrays import Array, Index, least_and_largest
+from rx90_common.base.arrays import Array, Index
 
 
 def few_points(x: Array, y: Array, most: int) -> Index:
@@ -28,11 +28,8 @@ def few_points(x: Array, y: Array, most: int) -> Index:
     width = (x[known].max() - low) / (most // 4)
     place = np.where(known, x - low, 0.0) / (width or 1.0)
     column = np.where(known, place.astype(np.int32), -1)  # a gap is a column of its own, whose ends are kept
-    starts = np.append(0, np.flatnonzero(np.diff(column)) + 1)
-    lengths = np.diff(np.append(starts, len(x)))
-    filled = starts[known[starts]]
-    rows = [starts, starts + lengths - 1]
-    for extreme in least_and_largest(np.ascontiguousarray(y), starts):
-        equal = np.flatnonzero(y == np.repeat(extreme, lengths))
-        rows.append(equal[np.searchsorted(equal, filled)])
-    return np.unique(np.concatenate(rows))
+    run = np.cumsum(np.diff(column, prepend=column[0]) != 0)
+    starts = np.flatnonzero(np.diff(run, prepend=-1))
+    ends = np.append(starts[1:], len(x)) - 1
+    by_value = np.lexsort((y, run))
+    return np.unique([starts, by_value[starts], by_value[ends], ends])

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 from rx90_common.base.config import read_yaml
 from rx90_common.base.models import FileModel, Model, unit_at
-from rx90_common.base.quoting import one_line
+from rx90_common.base.quoting import aligned, one_line
 from rx90_common.base.share import config_path, resolve_config
 from rx90_common.description.robot_files import FILES, NO_TOOL, RobotFiles
 from rx90_common.friction.signs import SIGNS
@@ -170,14 +170,6 @@ def rig_values(rig: str, chosen: str) -> list[ShownValue]:
         chosen: where the choice of it comes from.
     """
     return [ShownValue("file.rig", rig, "", chosen), *file_values("rig", resolve_config(rig))]
-
-
-def aligned(rows: Sequence[Sequence[str]], right: Sequence[int] = (), widest: float = math.inf) -> list[str]:
-    """Return the rows of a table as lines; columns in `right` end together, cells above a width move what follows."""
-    columns = zip(*(map(len, row) for row in rows), strict=True)
-    widths = [max((size for size in column if size <= widest), default=0) for column in columns]
-    sides = [str.rjust if k in right else str.ljust for k in range(len(widths))]
-    return ["  ".join(side(cell, n) for side, cell, n in zip(sides, row, widths, strict=True)).rstrip() for row in rows]
 
 
 def values_table(values: Sequence[ShownValue]) -> str:

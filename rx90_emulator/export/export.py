@@ -14,11 +14,10 @@ from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import BagError, ConfigError, check_type, write_error
-from rx90_common.base.quoting import listed, plain, quoted
+from rx90_common.base.quoting import aligned, listed, plain, quoted
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_common.process.files import atomic_files
-from rx90_emulator.configuration.origins import aligned
 from rx90_emulator.export.files import creep, files_of
 from rx90_emulator.export.fit import POINTS, FrictionFit, fit_friction, speeds_up_to
 from rx90_emulator.export.targets import TARGETS, Target

@@ -44,7 +44,7 @@ FAULTS: list[tuple[dict[str, Any], list[str]]] = [
     ({"stiffness": float("nan")}, ["stiffness is nan; accepted: a finite number > 0"]),
     ({"stifness": 3}, ["stifness is not a known key (did you mean stiffness?); accepted: stiffness, damping, kind"]),
     ({"stiffness": 1, "damping": 2}, ["damping is 2.0; accepted: up to the stiffness"]),
-    ({"stiffness": 1, "kind": {"kind": "soft"}}, ["kind.kind is 'soft'; accepted: one of slip, plastic"]),
+    ({"stiffness": 1, "kind": {"kind": "soft"}}, ["kind.kind is 'soft'; accepted: one of plastic, slip"]),
     (
         {"stiffness": -1, "kind": {"kind": "slip", "share": [1, 2, 3]}},
         ["stiffness is -1; accepted: a number > 0", "kind.share is [1, 2, 3]; accepted: a list of 1 to 2 numbers"],

@@ -16,8 +16,9 @@ import pytest
 from numba.core.registry import CPUDispatcher
 from processes import TIMEOUT, files_up_to
 
-from rx90_common.base.share import ROOT, files_with_kernels, module_file
+from rx90_common.base.share import ROOT
 from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.sources import files_with_kernels, module_file
 
 pytestmark = pytest.mark.slow
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
-from rx90_common.base.arrays import least_and_largest
 from rx90_common.report.charts import MOST_POINTS, chart, thin
 from rx90_common.report.few_points import few_points
 
@@ -64,17 +61,3 @@ def test_a_page_thins_lines_by_their_axes() -> None:
     assert len(x) < 1.1 * MOST_POINTS
     assert np.diff(np.log10(x[1:])).max() < 0.01
     assert len(dots.data_source.data["x"]) == len(decades)
-
-
-def test_the_extremes_of_rows_leave_out_what_is_no_number() -> None:
-    """Each group gives what NumPy finds in its rows without NaN, NaN for a group without any number."""
-    random = np.random.default_rng(4)
-    values = np.where(random.random((60, 2)) < 0.4, np.nan, random.standard_normal((60, 2)))
-    starts = np.array([0, 1, 5, 20, 24, 59])
-    values[20:24] = np.nan
-    least, largest = least_and_largest(values, starts)
-    for k, rows in enumerate(np.split(values, starts[1:])):
-        for column in range(2):
-            known = sorted(value for value in rows[:, column] if math.isfinite(value))
-            ends = (known[0], known[-1]) if known else (np.nan, np.nan)
-            np.testing.assert_array_equal((least[k, column], largest[k, column]), ends)
