@@ -396,6 +396,8 @@ def _options(arm: Recording, folder: Path) -> list[object]:
 def _read(arm: Recording, folder: Path, name: str, signals: str = "signals.yaml") -> Log:
     """Read a table by its map, for the independent fit: the joints' angles and torques."""
     stated = yaml.safe_load((folder / signals).read_text(encoding="utf-8"))
+    for columns_of_topic in stated.pop("topics", {}).values():
+        stated |= columns_of_topic
     table = np.genfromtxt(folder / f"{name}.csv", delimiter=",", names=True)
 
     names = stated["names"]
