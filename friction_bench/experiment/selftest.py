@@ -1,7 +1,7 @@
 """The self-test of a rig: what can be checked without a person and without a motion, as a table.
 
-Stage and DAC are seen by the rig's own reports; what takes a meter or a hand is in docs/howto/rig_build.md. The only
-torque is one DAC code, which turns no shaft. A rig that obeys a torque above its limit is stopped at once.
+Stage and DAC are seen by the rig's own reports; what takes a meter or a hand is in docs/howto/rig_calibration.md. The
+only torque is one DAC code, which turns no shaft. A rig that obeys a torque above its limit is stopped at once.
 """
 
 from __future__ import annotations

@@ -19,7 +19,8 @@ from friction_bench.rig.plant import Shaft, turn
 from friction_bench.rig.rig_file import load_rig
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = (ROOT / "docs/howto/rig_build.md").read_text(encoding="utf-8")
+PAGES = [ROOT / f"docs/howto/rig_{name}.md" for name in ("build", "wiring", "calibration")]
+PAGE = "\n".join(path.read_text(encoding="utf-8") for path in PAGES)
 UNITS = {"k": 1e3, "": 1.0}
 
 

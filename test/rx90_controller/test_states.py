@@ -73,7 +73,7 @@ EXPECTED: dict[str, dict[str, str]] = {
     },
     "stopping": {**POWERED, "ticks of a second": "holding"},
 }  # fmt: skip
-"""By hand, from docs/howto/action.md and joint_trajectory_controller; `=` and what is missing: the state stays."""
+"""By hand, from docs/reference/joint_trajectory_controller.md; `=` and what is missing: the state stays."""
 
 
 def test_each_event_in_each_state_has_its_answer_and_the_page_says_so(shipped: Setup) -> None:
