@@ -46,10 +46,10 @@ def _speeds(words: Sequence[str]) -> tuple[tuple[float, float] | None, Path | No
     if len(words) < 2:
         return None, Path(words[0]) if words else None
     try:
-        low, high = map(POSITIVE, words)
+        low, high = words
+        return (POSITIVE(low), POSITIVE(high)), None
     except (ValueError, argparse.ArgumentTypeError):
         raise ConfigError(f"--speeds {listed(words)}; accepted: LOW and HIGH, rad/s, or BAG") from None
-    return (low, high), None
 
 
 def main(options: argparse.Namespace) -> int:
