@@ -595,7 +595,5 @@ def test_what_unpacks_to_far_more_is_refused_before(name: str, tmp_path: Path) -
     )
     assert not done.stderr
     line, peak = done.stdout.splitlines()
-    assert re.search(
-        "bytes unpacked; accepted: up to|another length than 1,000 bytes|is damaged, or no such table", line
-    )
+    assert re.search("bytes unpacked; accepted: up to|another length than 1,000|is damaged: ", line)
     assert int(peak) <= 500
