@@ -160,20 +160,18 @@ def _rows_in_time(table: _Table, mapping: LogMapping, stamps: Int64Array) -> NDA
 
 
 def _increasing(stamps: Int64Array) -> list[int]:
-    """Return the indices of the longest strictly increasing subsequence, of several the one with the shortest steps."""
-    piles: list[list[int]] = []  # of indices; in a pile the values decrease
-    smallest: list[int] = []  # last value of each pile
+    """Return the indices of a longest strictly increasing subsequence; of equal stamps the last is in it."""
+    smallest: list[int] = []  # of the last stamps of increasing subsequences of each length
+    ends: list[int] = []  # their indices
+    before: list[int] = []  # the index that comes before each one in its subsequence
     for k, stamp in enumerate(stamps.tolist()):
-        pile = bisect_left(smallest, stamp)
-        if pile == len(piles):
-            piles.append([])
-        piles[pile].append(k)
-        smallest[pile : pile + 1] = [stamp]
-    chosen = [pile[-1] for pile in piles[-1:]]
-    for members in reversed(piles[:-1]):
-        # Of those that come before the one behind, the first, which is the largest, with a smaller value.
-        first = bisect_left(members, True, key=lambda k: bool(stamps[k] < stamps[chosen[-1]]))
-        chosen.append(members[first])
+        length = bisect_left(smallest, stamp)
+        before.append(ends[length - 1] if length else -1)
+        smallest[length : length + 1] = [stamp]
+        ends[length : length + 1] = [k]
+    chosen = ends[-1:]
+    while before[chosen[-1]] >= 0:
+        chosen.append(before[chosen[-1]])
     return chosen[::-1]
 
 
