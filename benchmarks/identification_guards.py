@@ -509,7 +509,7 @@ def ramps(job: Job, folder: Path) -> Measured:
     content = yaml.safe_load(model_text(rig))
     content.pop("file", None)  # where the rig was read
     file.write_text(yaml.safe_dump(content), encoding="utf-8")
-    said = run_warm([*RAMP, "--rig", file, "--seed", str(10_000 + job.number), OUTPUT, folder / "ramps"])
+    said = run_warm([*RAMP, "--rig", file, "--port", f"emulated:{10_000 + job.number}", OUTPUT, folder / "ramps"])
     result = Measured({}, [], [said.broken] if said.broken else [], said.processor)
     if not (folder / "ramps" / "estimates.yaml").is_file():
         result.wrong.append(_refused(said))

@@ -12,15 +12,14 @@ from friction_bench.experiment.identification import evaluate
 from friction_bench.experiment.record import RampRecord, read_csv, read_text, sliding_window, write_csv
 from friction_bench.experiment.report import write_friction, write_result
 from friction_bench.experiment.session import (
-    EMULATED,
     LIMITS_SHARE,
     armed,
-    check_line,
     last_near_limits,
     measuring,
     new_measurement,
     refuse_fault,
     sample_columns,
+    seed_of,
     wait_for_rest,
 )
 from friction_bench.experiment.sliding_fit import fit_sliding
@@ -29,7 +28,7 @@ from friction_bench.rig.messages import Command, RigError, State
 from friction_bench.rig.rig_file import TRAVEL_UNIT, RampPlan, Rig, load_rig
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError, IdentificationError
 from rx90_common.base.models import refusals
-from rx90_common.base.quoting import counted, one_line, plain, quoted
+from rx90_common.base.quoting import counted, one_line, quoted
 from rx90_common.base.share import SHIPPED_RIG, SOURCE_RIG, resolve_config
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction.friction_file import FrictionFile, refuse_parts
@@ -175,7 +174,7 @@ def run(options: argparse.Namespace) -> int:
         origin = counted(len(records), "recorded ramp")
     else:
         records = _measure(options, rig, _plan(options, rig))
-        measured_by = "emulated rig" if options.port == EMULATED else f"rig at {options.port}"
+        measured_by = "emulated rig" if seed_of(options.port) is not None else f"rig at {options.port}"
         origin = f"{counted(len(records), 'ramp')} on the {measured_by}"
     found = evaluate(records, rig, options.source)
     write_result(out, found, rig, origin)
@@ -201,9 +200,7 @@ def _check(options: argparse.Namespace, base: FrictionFile, path: Path) -> None:
         raise ConfigError(f"--element is {quoted(options.element)}; accepted: {known}")
     replaced = {options.element: elements[options.element]}
     refuse_parts(replaced, "the element that a ramp test replaces", f"{path}: elements.")
-    check_line(options.port, options.baud)
-    if options.seed is not None and options.port != EMULATED:
-        raise ConfigError(f"--seed with --port {plain(options.port)}; accepted: with the emulated rig alone")
+    seed_of(options.port)
 
 
 def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:

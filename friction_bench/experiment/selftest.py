@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 from typing import NamedTuple
 
-from friction_bench.experiment.session import EMULATED, armed, check_line
+from friction_bench.experiment.session import armed, seed_of
 from friction_bench.rig.client import Port, RigClient, Sample
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.messages import Command, Fault, RigError, RigLostError, RigRefusedError, State
@@ -155,12 +155,8 @@ def run(options: argparse.Namespace) -> int:
         The exit code: 1 if a check fails.
     """
     rig = load_rig(resolve_config(options.rig))
-    check_line(options.port, options.baud)
-    port: Port
-    if options.port == EMULATED:
-        port = VirtualPort(EmulatedRig(rig))
-    else:
-        port = SerialPort(options.port, options.baud or rig.baud)
+    seed = seed_of(options.port)
+    port: Port = SerialPort(options.port, rig.baud) if seed is None else VirtualPort(EmulatedRig(rig, seed))
     try:
         checks = self_test(RigClient(port, rig))
     finally:

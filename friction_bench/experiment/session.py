@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -27,11 +28,11 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ConfigError, FailureError, Rx90Error, write_error
+from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.process.interrupts import deferred_interrupts
 
-EMULATED = "emulated"
-"""As a port."""
+_EMULATED = re.compile(r"emulated(?::(\d{1,9}))?")
 REST_TICKS = 10
 """The shaft is at rest when it has not moved for so many ticks."""
 REST_TIMEOUT = 30.0
@@ -43,10 +44,12 @@ SPEED_TICKS = 5
 _BAR = "{desc} {bar} {n:.0f}/{total:.0f} s [{elapsed}<{remaining}{postfix}]"
 
 
-def check_line(port: str, baud: int | None) -> None:
-    """Refuse a line rate for an emulated rig."""
-    if port == EMULATED and baud is not None:
-        raise ConfigError(f"--baud {baud} with the emulated rig; accepted: with --port of a serial line")
+def seed_of(port: str) -> int | None:
+    """Return the seed of the emulated rig that a port names, None of a serial line."""
+    emulated = _EMULATED.fullmatch(port)
+    if emulated is None and port.startswith("emulated"):
+        raise ConfigError(f"--port {quoted(port)}; accepted: emulated, emulated:SEED such as emulated:7, a serial line")
+    return None if emulated is None else int(emulated[1] or 0)
 
 
 def new_measurement(out: Path) -> None:
@@ -110,10 +113,11 @@ def measuring(options: argparse.Namespace, rig: Rig, seconds: float) -> Iterator
     couple: Callable[[bool], None] = ask
     with ExitStack() as resources:
         try:
-            if options.port != EMULATED:
-                port = SerialPort(options.port, options.baud or rig.baud)
+            seed = seed_of(options.port)
+            if seed is None:
+                port = SerialPort(options.port, rig.baud)
             else:
-                emulated = EmulatedRig(rig, options.seed or 0)
+                emulated = EmulatedRig(rig, seed)
                 port = VirtualPort(emulated)
                 couple = emulated.plant.load
         except Rx90Error:

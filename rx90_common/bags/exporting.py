@@ -29,7 +29,7 @@ def export_bag(
     output: Path,
     *,
     topics: Sequence[str] | None = None,
-    kind: str = ".csv",
+    kind: str | None = None,
     progress: Progress = silent,
     mapping: LogMapping | None = None,
 ) -> dict[str, int]:
@@ -39,16 +39,16 @@ def export_bag(
         path: a bag.
         output: file, whose suffix is the format, or a folder, which gets a file for each topic; new.
         topics: topic names; by default all topics with messages.
-        kind: suffix of the files in a folder.
+        kind: suffix of the files in a folder; by default output is a file, or without suffix a folder of .csv.
         progress: called with the number of messages read so far, and the total.
         mapping: of the columns of a table; by default the file beside it.
 
     Raises:
         BagWriteError: if the disk is full.
     """
-    single = output.suffix != ""
-    if single:
-        kind = output.suffix.lower()
+    single = kind is None and output.suffix != ""
+    if kind is None:
+        kind = output.suffix.lower() or ".csv"
     if kind not in FORMATS:
         raise BagError(f"{plain(output)}: the suffix says the format; accepted: {listed(FORMATS)}, or none")
     write = FORMATS[kind]

@@ -205,8 +205,8 @@ def _add_plot(parser: argparse.ArgumentParser) -> None:
     add_force(parser)
     _add_topics(parser, "joint_states, friction, tracking error")
     add_joints_argument(parser, "joints (all)")
-    parser.add_argument("--align", metavar="start|trajectory|S",
-                        help="moves the stamps of BAG2, as in compare (0)")  # fmt: skip
+    parser.add_argument("--align", default="0", metavar="start|trajectory|S",
+                        help="moves the stamps of BAG2, as in compare (%(default)s)")  # fmt: skip
 
 
 def _plot(args: argparse.Namespace) -> None:
@@ -217,15 +217,13 @@ def _plot(args: argparse.Namespace) -> None:
     from rx90_common.bags.plotting import plot_bags, plot_page
     from rx90_common.process.files import write_text
 
-    if args.align is not None and args.second is None:
-        raise ConfigError(f"--align {plain(args.align)} with one bag; accepted: with two")
     output: Path = args.output or place(f"{args.bag.resolve().name}.html")
     if output.suffix.lower() != ".html":
         raise ConfigError(f"--output {plain(output)}; accepted: a page, .html")
     check_replaced(output, force=args.force)
     paths = [args.bag] if args.second is None else [args.bag, args.second]
-    align = alignment(args.align or "0")
-    write_text(output, plot_page(paths, plot_bags(paths, args.topics, args.joints, align, _signals(args))))
+    drawn = plot_bags(paths, args.topics, args.joints, alignment(args.align), _signals(args))
+    write_text(output, plot_page(paths, drawn))
     print(f"plot: {plain(output.resolve())}")
 
 
@@ -236,7 +234,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     text = "FILE.csv, .parquet or .npz of one topic, or a folder; must not exist"
     add_output(parser, new_folder, text, metavar="FILE|FOLDER", required=True)
     _add_topics(parser, "all")
-    parser.add_argument("--format", choices=_KINDS, help=f"of the files in a folder ({_KINDS[0]})")
+    parser.add_argument("--format", choices=_KINDS, help="make a folder of such files (the suffix, else csv)")
 
 
 def _export(args: argparse.Namespace) -> None:
@@ -245,13 +243,10 @@ def _export(args: argparse.Namespace) -> None:
     The suffix of --output says the format; without one it is a folder with a file for each topic. Every number keeps
     all its bits: `rx90 bag import` makes an equal bag of exported CSV files.
     """
-    if args.format is not None and args.output.suffix.lower().removeprefix(".") in _KINDS:
-        given = f"--format {args.format} with the file {plain(args.output)}"
-        raise ConfigError(f"{given}; accepted: with a folder, for the suffix of a file says its format")
     from rx90_common.bags.exporting import export_bag
     from rx90_emulator.cli.options import progress_bar
 
-    kind = f".{args.format or _KINDS[0]}"
+    kind = None if args.format is None else f".{args.format}"
     mapping = _signals(args)
     with progress_bar("export") as progress:
         topics = export_bag(args.bag, args.output, topics=args.topics, kind=kind, progress=progress, mapping=mapping)

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
-from rx90_common.base.quoting import plain
+from rx90_common.base.quoting import listed, plain
 from rx90_emulator.cli.options import (
     POSITIVE,
     add_output,
@@ -33,13 +34,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--within", type=POSITIVE, metavar="NM",
                         help="exit code 1 if a friction torque differs by more than this, Nm")  # fmt: skip
     add_plot(parser, place, "picture to write: the curves, and what the simulator gets")
-    speeds = parser.add_argument_group("speeds in use", "over which friction is fitted and compared")
-    either = speeds.add_mutually_exclusive_group()
-    either.add_argument("--speeds", nargs=2, type=POSITIVE, metavar=("LOW", "HIGH"),
-                        help="their range, rad/s (identified, else 0.001 to the largest of each joint)")  # fmt: skip
-    either.add_argument("--bag", type=Path, metavar="BAG",
-                        help="those in its joint_states, as often as they are there")  # fmt: skip
+    parser.add_argument("--speeds", nargs="+", default=(), metavar="LOW HIGH|BAG",
+                        help="over which friction is fitted and compared: a range, rad/s, or those in the joint_states "
+                        "of a bag, as often as they are there (identified, else 0.001 to the largest of each "
+                        "joint)")  # fmt: skip
     add_robot_arguments(parser, "urdf", "tool", "drives", "friction")
+
+
+def _speeds(words: Sequence[str]) -> tuple[tuple[float, float] | None, Path | None]:
+    """Return the range and the bag that --speeds names: one of them, or neither."""
+    if len(words) < 2:
+        return None, Path(words[0]) if words else None
+    try:
+        low, high = map(POSITIVE, words)
+    except (ValueError, argparse.ArgumentTypeError):
+        raise ConfigError(f"--speeds {listed(words)}; accepted: LOW and HIGH, rad/s, or BAG") from None
+    return (low, high), None
 
 
 def main(options: argparse.Namespace) -> int:
@@ -53,8 +63,8 @@ def main(options: argparse.Namespace) -> int:
         check_picture(options.plot)
         if options.plot == options.output:
             raise ConfigError(f"--plot and --output are both {plain(options.plot)}; accepted: two names")
-    speeds = None if options.speeds is None else tuple(options.speeds)
-    done = export_robot(load_arm(RobotFiles.of_options(options)), options.target, speeds=speeds, bag=options.bag)
+    speeds, bag = _speeds(options.speeds)
+    done = export_robot(load_arm(RobotFiles.of_options(options)), options.target, speeds=speeds, bag=bag)
     write_export(done, options.output)
     print(done.text)
     print(f"\nwritten: {', '.join(done.files)} and export.yaml in {options.output}")

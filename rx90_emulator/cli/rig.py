@@ -20,7 +20,6 @@ from rx90_emulator.cli.options import (
     whole_from,
 )
 
-_BAUD = whole_from(1200, 1_000_000)
 _SEED = whole_from(0, 2**31 - 1)
 
 
@@ -61,7 +60,6 @@ def _add_measuring(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted="the rig is switched off")
     _add_line(parser)
     add_rig_argument(parser)
-    _add_seed(parser)
     parser.add_argument("--clear", action="store_true", help="clear the faults that the rig has latched, then begin")
     add_output(parser, new_folder, "new folder for bag and report (%(default)s)", default="out/friction",
                metavar="FOLDER")  # fmt: skip
@@ -69,12 +67,8 @@ def _add_measuring(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_line(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--port", default="emulated", help="serial device, URL or 'emulated' (default)")
-    parser.add_argument("--baud", type=_BAUD, help="line rate (the rig file's)")
-
-
-def _add_seed(parser: argparse.ArgumentParser, default: int | None = None) -> None:
-    parser.add_argument("--seed", type=_SEED, default=default, metavar="N", help="of the emulated rig's noise (0)")
+    parser.add_argument("--port", default="emulated", help="serial device, URL, 'emulated' (default), or with the "
+                        "seed of its noise 'emulated:SEED'")  # fmt: skip
 
 
 def _add_result(parser: argparse.ArgumentParser) -> None:
@@ -123,7 +117,7 @@ def _add_emulator(parser: argparse.ArgumentParser) -> None:
     add_rig_argument(parser)
     parser.add_argument("--link", type=Path, help="symbolic link to make to the pseudo-terminal")
     parser.add_argument("--loaded", action="store_true", help="couple the revolute joint")
-    _add_seed(parser, 0)
+    parser.add_argument("--seed", type=_SEED, default=0, metavar="N", help="of the emulated rig's noise (0)")
 
 
 def _emulator(options: argparse.Namespace) -> None:
@@ -147,8 +141,6 @@ _NO_MEASURING = {
     "end_torque": None,
     "load": "both",
     "port": "emulated",
-    "baud": None,
-    "seed": None,
     "clear": False,
 }
 """Options of a measurement, of which there is none where old ramps are read."""

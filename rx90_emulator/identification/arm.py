@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
-from scipy.sparse.csgraph import connected_components
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
@@ -222,6 +221,8 @@ class JointGroup:
 
 def joint_groups(arm: RigidArm) -> list[JointGroup]:
     """Return the groups of an arm's joints, from base to tip."""
+    from scipy.sparse.csgraph import connected_components  # takes a while
+
     matrix = arm.element_matrix
     shared = np.abs(matrix).T @ np.abs(matrix)
     _, group = connected_components(shared, directed=False)

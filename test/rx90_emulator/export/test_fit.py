@@ -188,7 +188,7 @@ def test_verdict_and_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     (["urdf", "--friction", "nan.yaml"], "nan.yaml: elements.joint_1.tau_c is nan; accepted: a finite number > 0"),
     (["urdf", "--friction", "shape.yaml"], "shape.yaml: its identification has another shape; accepted: as"),
     (["urdf", "--speeds", "1e-300", "1"], "speeds from 1e-300 to 1 rad/s; accepted: two numbers from 1e-06 to 10000"),
-    (["urdf", "--bag", "other.csv"], "other.csv: /joint_states: no joint 'joint_1'; there are panda_1, panda_2"),
+    (["urdf", "--speeds", "other.csv"], "other.csv: /joint_states: no joint 'joint_1'; there are panda_1, panda_2"),
 ])  # fmt: skip
 def test_bad_input_is_one_line(
     words: list[str], reason: str, shipped: Setup, tmp_path: Path, capsys: pytest.CaptureFixture[str],
