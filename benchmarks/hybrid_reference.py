@@ -26,9 +26,9 @@ from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_common.kernels.compiled import kernel
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.line import plan_line
-from rx90_emulator.loop.result import RunResult
+from rx90_emulator.loop.result import MotionCommand, RunResult
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import sample_drives
@@ -60,7 +60,8 @@ class Work(NamedTuple):
 
     def run(self, setup: Setup | None = None, substeps: int | None = None) -> RunResult:
         """Run the closed loop, of this setup or another one."""
-        return simulate(setup or self.setup, self.points, self.start, self.duration, substeps=substeps)
+        commands = (MotionCommand(0, self.points),)
+        return simulate_commands(setup or self.setup, commands, self.start, self.duration, substeps=substeps)
 
     def setpoints(self, first: float, ticks: int) -> Array:
         """Return the set-points of `ticks` base ticks from time `first`, s, on, shape (m, 3, 6)."""

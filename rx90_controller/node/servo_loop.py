@@ -18,7 +18,6 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -301,7 +300,7 @@ class ServoLoop:
             return
         self._correction = None
         if waiting is not None and waiting[0] == trajectory_identity(points):
-            request.points = replace(points, correction=waiting[1])
+            request.correction = waiting[1]
         elif requested:
             raise TrajectoryError("its correction has not come; accepted: after it on ~/commanded_correction")
         else:

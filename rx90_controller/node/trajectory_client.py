@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from builtin_interfaces.msg import Duration
@@ -168,26 +167,35 @@ class TrajectoryClient:
         self._client.wait(lambda: newest.position is not None, f"a {what} on {topic}")
         return newest
 
-    def send(self, names: Sequence[str], points: TrajectoryPoints, start_time: float = 0.0) -> None:
+    def send(
+        self,
+        names: Sequence[str],
+        points: TrajectoryPoints,
+        start_time: float = 0.0,
+        correction: Correction | None = None,
+    ) -> None:
         """Publish a trajectory to all that listen and wait until it has arrived.
 
         Args:
             names: joints in the order of the points' columns.
             points: the trajectory.
             start_time: when it starts, s; 0 means now.
+            correction: of the trajectory; None for none.
 
         Raises:
             ExchangeError: if that is not confirmed within the client's timeout.
         """
         self._settle()
-        if points.correction is not None:
+        message = trajectory_message(names, points, start_time)
+        if correction is not None:
+            message.header.frame_id = CORRECTED
             there = self._corrections.get_subscription_count
             self._client.wait(lambda: there() > 0, f"a controller on {self._corrections.topic_name}")
-            offsets = trajectory_message(names, correction_points(points.correction))
+            offsets = trajectory_message(names, correction_points(correction))
             offsets.header.frame_id = trajectory_identity(points)
             self._corrections.publish(offsets)
             self._confirm(self._corrections, "correction")
-        self._publisher.publish(trajectory_message(names, points, start_time))
+        self._publisher.publish(message)
         self._confirm(self._publisher, "trajectory")
 
     def _confirm(self, publisher: Publisher, what: str) -> None:
@@ -221,7 +229,6 @@ def trajectory_message(names: Sequence[str], points: TrajectoryPoints, start_tim
     """Return the points as a message that starts at `start_time`, s; 0 means when it arrives."""
     message = JointTrajectory(joint_names=list(names))
     message.header.stamp = ros_time(round(start_time * NANOSECONDS))
-    message.header.frame_id = "" if points.correction is None else CORRECTED
     message.points = [
         JointTrajectoryPoint(**(point | {"time_from_start": Duration(**point["time_from_start"])}))
         for point in message_content(names, points)["points"]
@@ -267,10 +274,8 @@ def deliver(
     line = approached(plan, here, limits, set_point_period, approach)
     if line.approach > 0.0:
         client.say(f"approach: {np.degrees(line.way):.1f} deg in {line.farthest}, {line.approach:.3f} s")
-    points = line.points
-    if correction is not None:
-        points = replace(points, correction=correction.later(line.approach))
-    trajectory.send(plan.joint_names, points, start_time)
+    later = None if correction is None else correction.later(line.approach)
+    trajectory.send(plan.joint_names, line.points, start_time, later)
     start = f"at {start_time:g} s" if start_time else "now"
     client.say(
         f"sent {counted(len(line.points.times), 'point')} to {trajectory.topic}: start {start}, {line.duration:.3f} s"

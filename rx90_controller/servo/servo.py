@@ -173,7 +173,7 @@ class Servo:
             text = f"{request.kind} accepted: {count}, {points.times[-1]:.3f} s from {begin:.3f} s"
             if points.smooth:
                 text += "; velocities from its positions"
-            if points.correction is not None:
+            if request.correction is not None:
                 text += "; with its correction"
             if schedule.blend_error > 0.0:
                 text += f"; its ramps pass the points in between at up to {schedule.blend_error:.3g} rad"

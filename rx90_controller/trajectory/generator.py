@@ -210,21 +210,32 @@ class TrajectoryGenerator:
 
     # New motions.
 
-    def accept(self, points: TrajectoryPoints, now: int, start: int | None) -> Schedule:
+    def accept(
+        self, points: TrajectoryPoints, now: int, start: int | None, correction: Correction | None = None
+    ) -> Schedule:
         """Take a trajectory; return when it runs.
 
         Args:
             points: the checked points.
             now: the first position tick that may still be changed.
             start: its start tick, None for `now`.
+            correction: offsets of the position set-points, played along.
 
         Raises:
             TrajectoryError: if it lies in the past, starts elsewhere than the arm is, or breaks a limit.
         """
         begin = self._begin(now, start)
-        return self._take(points, now, begin, follow=False)
+        return self._take(points, now, begin, correction, follow=False)
 
-    def join(self, points: TrajectoryPoints, now: int, start: int | None, *, anywhere: bool) -> Schedule:
+    def join(
+        self,
+        points: TrajectoryPoints,
+        now: int,
+        start: int | None,
+        correction: Correction | None = None,
+        *,
+        anywhere: bool,
+    ) -> Schedule:
         """Take a trajectory from where the path then is, without a jump; return when it runs.
 
         As `accept`, but points that are not later than its begin are left out: those in the past, and one at the begin
@@ -235,6 +246,7 @@ class TrajectoryGenerator:
             points: the checked points.
             now: the first position tick that may still be changed.
             start: its start tick, None for `now`; may lie in the past.
+            correction: offsets of the position set-points, played along.
             anywhere: whether points may be left out that the arm is not near to.
 
         Raises:
@@ -243,7 +255,7 @@ class TrajectoryGenerator:
         """
         begin, late, remaining = points_left(points, now, start, self.period)
         self._promote(now)
-        if late > 0.0 and points.correction is not None:
+        if late > 0.0 and correction is not None:
             raise TrajectoryError(f"a correction begins {late:.6g} s late; accepted: with its trajectory's first point")
         if late == 0.0 and points.times[0] == 0.0 and not anywhere:
             reference = self._base(now).entry(begin)
@@ -251,7 +263,7 @@ class TrajectoryGenerator:
             self.limits.check_near(first, reference)
             if first.velocity is not None and (first.degrees is None or first.degrees[0] > 1):
                 self.limits.check_start(reference, first.velocity[0], self.period)
-        return self._take(remaining, now, begin, follow=anywhere)
+        return self._take(remaining, now, begin, correction, follow=anywhere)
 
     def follow_stream(self, stream: Stream, points: SetPoints, now: int) -> None:
         """Follow set-points of a stream from position tick `now` on, in place of whatever runs or waits.
@@ -376,7 +388,9 @@ class TrajectoryGenerator:
         """Return the rate at which something begins behind a motion: that of the motion, or `factor` from rest."""
         return base.at(begin)[1] if base.runs(begin) else self.factor
 
-    def _take(self, points: TrajectoryPoints, now: int, begin: int, *, follow: bool) -> Schedule:
+    def _take(
+        self, points: TrajectoryPoints, now: int, begin: int, correction: Correction | None, *, follow: bool
+    ) -> Schedule:
         """Check a trajectory and run it; joints that it does not name hold, or follow the running one."""
         limits = self.limits
         base = self._base(now)
@@ -408,7 +422,6 @@ class TrajectoryGenerator:
             if points.velocity is None or points.smooth or np.count_nonzero(points.times) < 2:
                 raise
             raise TrajectoryError(f"{error}{_ADVICE}") from None
-        correction = points.correction
         if correction is not None:
             self._check_correction(correction, spline)
         schedule = self._follow(base, Path(spline, 0.0, last), now, begin, self.factor if stands_still else rate)

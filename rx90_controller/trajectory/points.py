@@ -47,7 +47,6 @@ class TrajectoryPoints:
         smooth: whether only the velocities at both ends count, see `smoothed`.
         degrees: of the way to each point, shape (n,): 1, a straight line, where one of its two ends has no velocities,
             3, or 5 where both have accelerations, too; None where all are alike. Values that are not given are 0.
-        correction: offsets of the position set-points, played along; None for none.
     """
 
     times: Array
@@ -58,7 +57,6 @@ class TrajectoryPoints:
     first: int = 0
     smooth: bool = False
     degrees: NDArray[np.intp] | None = None
-    correction: Correction | None = None
 
     def __post_init__(self) -> None:
         if not self.named.size:

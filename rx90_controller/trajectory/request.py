@@ -22,6 +22,7 @@ from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.models import Model, quantity
 from rx90_common.base.quoting import counted, quoted
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
+from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.generator import PastError, Schedule, TrajectoryGenerator
 from rx90_controller.trajectory.points import TrajectoryPoints, check_joints, points_from_message
 
@@ -248,6 +249,7 @@ class TrajectoryRequest:
         tolerances: that apply to it.
         options: permitted exceptions at its arrival.
         remark: what was not taken of it, one line; empty for nothing.
+        correction: offsets of the position set-points, played along.
         is_goal: whether it was received as a goal: the way to its points then starts on the running path. A point at
             the start of a topic's trajectory is followed to the bit, unless the start is past.
         on_feedback: of a goal, called by the executor's thread now and then while it is followed.
@@ -265,6 +267,7 @@ class TrajectoryRequest:
     options: GoalOptions
     is_goal: bool = False
     remark: str = ""
+    correction: Correction | None = None
     on_feedback: Callable[[Feedback], None] | None = None
     on_result: Callable[[], None] | None = None
     state: State = State.RECEIVED
@@ -307,8 +310,8 @@ class TrajectoryRequest:
         anywhere = self.options.allow_trajectory_replacement
         late = self.start is not None and self.start < now
         if self.is_goal or anywhere or late:
-            return generator.join(self.points, now, self.start, anywhere=anywhere)
-        return generator.accept(self.points, now, self.start)
+            return generator.join(self.points, now, self.start, self.correction, anywhere=anywhere)
+        return generator.accept(self.points, now, self.start, self.correction)
 
     def step(self, tick: int, desired: Array, actual: Array, trajectory: TrajectoryGenerator) -> None:
         """Compare the set-point of a position tick with the measured state; end the request where that decides it.

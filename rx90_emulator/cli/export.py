@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
@@ -45,11 +46,12 @@ def _speeds(words: Sequence[str]) -> tuple[tuple[float, float] | None, Path | No
     """Return the range and the bag that --speeds names: one of them, or neither."""
     if len(words) < 2:
         return None, Path(words[0]) if words else None
-    try:
-        low, high = map(POSITIVE, words)
-    except (ValueError, argparse.ArgumentTypeError):
-        raise ConfigError(f"--speeds {listed(words)}; accepted: LOW and HIGH, rad/s, or BAG") from None
-    return (low, high), None
+    speeds: list[float] = []
+    with suppress(argparse.ArgumentTypeError):
+        speeds = [POSITIVE(word) for word in words]
+    if len(speeds) != 2:
+        raise ConfigError(f"--speeds {listed(words)}; accepted: LOW and HIGH, rad/s, or BAG")
+    return (speeds[0], speeds[1]), None
 
 
 def main(options: argparse.Namespace) -> int:

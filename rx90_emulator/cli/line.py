@@ -105,7 +105,7 @@ def plan_and_send(
         from rx90_emulator.loop.trajectory_file import write_trajectory
 
         table = options.output.suffix.lower() == ".csv"
-        write_trajectory(options.output, robot, replace(plan.points, correction=correction), period)
+        write_trajectory(options.output, robot, plan.points, period, correction)
         without = "" if table or correction is None else ", without the correction; set-points with it: FILE.csv"
         _say(f"written to {options.output}{without}")
     if not options.dry_run:

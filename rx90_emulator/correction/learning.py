@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
@@ -322,12 +322,12 @@ def run_corrected(
         SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
         TrajectoryError: if trajectory or correction is refused.
     """
-    points = replace(path.points, correction=correction)
     period = setup.rates.position_period
     lead = math.ceil(max(0.0, _SETTLING_S - path.counted[0]) / period)
     trajectory = path if isinstance(path, TrajectoryPath) else TrajectoryPath.of(setup, path.points, path.counted)
     count = len(trajectory.counts)
-    run = simulate(setup, points, start_time=lead * period, duration=(lead + count) * period)
+    duration = (lead + count) * period
+    run = simulate(setup, path.points, start_time=lead * period, duration=duration, correction=correction)
     rows = slice(lead, lead + count)
     offsets = run.slow.correction[rows] if len(run.slow.correction) else 0.0
     tip = tip_position(setup.robot.chain, run.slow.joint_states[rows, 0])

@@ -8,7 +8,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -76,14 +75,14 @@ def node_trials(
             if number == 0:
                 # Each trial comes from the path's end, with friction as that leaves it; the first one, too.
                 approach()
-                follow(replace(points, correction=correction))
+                follow(points, correction)
             approach()
             bag = Path(name) / f"trial_{number}"
             played = [CORRECTION] if correction.offsets.any() else []  # without offsets nothing is published
             words = executable("rx90 bag", "record", "--output", bag, *topics, *played)
             recorder = recorders.start(f"recorder of {bag.name}", words)
             recorder.wait_for("ready: all", timeout)
-            follow(replace(points, correction=correction))
+            follow(points, correction)
             if tip_topic is not None:
                 time.sleep(_SENSOR)
             recorder.signal(signal.SIGINT)

@@ -15,6 +15,7 @@ from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import load, size, store
 from rx90_controller.law.cs7b import CS7B, position_loop, velocity_loop
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
+from rx90_controller.trajectory.correction import Correction
 from rx90_emulator.loop.learned_motion import check_correction
 from rx90_emulator.loop.result import FastSeries, MotionCommand, RunResult, SlowSeries, empty_series
 from rx90_emulator.loop.setup import Setup
@@ -142,7 +143,7 @@ def simulate(
     initial_position: ArrayLike | None = None,
     duration: float | None = None,
     start_time: float = 0.0,
-    substeps: int | None = None,
+    correction: Correction | None = None,
     record_fast: bool = False,
 ) -> RunResult:
     """Run the closed loop without ROS.
@@ -153,21 +154,21 @@ def simulate(
         initial_position: joint positions at rest, rad, shape (n,); by default the trajectory's first point.
         duration: simulated time, s; by default until the trajectory ends.
         start_time: when the trajectory starts, s.
-        substeps: plant steps in a tick; None for as many as the arm needs, usually 1.
+        correction: offsets of the position set-points, as `learn_correction` finds them.
         record_fast: also keep the series on base ticks.
 
     Raises:
-        ConfigError: if the duration is shorter than a tick, a time is not finite, the arm needs more steps, or the
-            trajectory's correction was learned on another one, or on another robot.
+        ConfigError: if the duration is shorter than a tick, a time is not finite, or the correction
+            was learned on another one, or on another robot.
         TrajectoryError: if the trajectory is refused.
         DivergenceError: naming joint and tick.
         SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
     """
     check_type(setup=(setup, Setup), points=(points, TrajectoryPoints))
     end = start_time + float(points.times[-1]) if duration is None else duration
-    command = MotionCommand(setup.rates.start_tick(start_time), points)
+    command = MotionCommand(setup.rates.start_tick(start_time), points, correction)
     start = points.position[0] if initial_position is None else initial_position
-    return simulate_commands(setup, (command,), start, end, substeps=substeps, record_fast=record_fast)
+    return simulate_commands(setup, (command,), start, end, record_fast=record_fast)
 
 
 def simulate_commands(
@@ -199,9 +200,9 @@ def simulate_commands(
         DivergenceError: naming joint and tick.
         SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
     """
-    for _, points in commands:
-        if points is not None and points.correction is not None:
-            check_correction(setup, points, points.correction, "the correction")
+    for _, points, correction in commands:
+        if points is not None and correction is not None:
+            check_correction(setup, points, correction, "the correction")
     if warn:
         setup.warn_of_friction()
     rates = setup.rates
@@ -226,14 +227,14 @@ def setpoints_of(generator: TrajectoryGenerator, commands: Sequence[MotionComman
     """Return the set-points of `count` position ticks, (count, 3, n); with a correction's offsets (count, 4, n)."""
     parts = []
     at = 0
-    for start, points in commands:
+    for start, points, correction in commands:
         begin = min(max(start, at), count)
         parts.append(generator.corrected(at, begin - at))
         at = begin
         if points is None:
             generator.stop(begin, start)
         else:
-            generator.accept(points, begin, start)
+            generator.accept(points, begin, start, correction)
     parts.append(generator.corrected(at, count - at))
     rows = max(part.shape[1] for part in parts)
     return np.concatenate([np.pad(part, ((0, 0), (0, rows - part.shape[1]), (0, 0))) for part in parts])

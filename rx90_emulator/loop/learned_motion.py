@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from rx90_common.base.errors import ConfigError
@@ -23,7 +21,7 @@ def learned_motion(setup: Setup, points: TrajectoryPoints) -> LearnedMotion:
     """
     period = setup.rates.position_period
     generator = TrajectoryGenerator(setup.controller.limits(setup.robot), period, points.position[0])
-    setpoints = generator.setpoints(0, generator.accept(replace(points, correction=None), 0, None).end)
+    setpoints = generator.setpoints(0, generator.accept(points, 0, None).end)
     tip = tip_position(setup.robot.chain, setpoints[:, 0])
     speed = float(np.linalg.norm(np.diff(tip, axis=0), axis=1).max()) / period
     start = tuple(points.position[0].tolist())

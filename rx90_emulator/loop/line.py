@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -18,8 +18,8 @@ from rx90_controller.lines.plan import LinePlan
 from rx90_controller.lines.task import SETTLING, LineTask, TipTask
 from rx90_controller.paths.path import Path
 from rx90_controller.trajectory.correction import Correction
-from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.result import RunResult
+from rx90_emulator.loop.closed_loop import simulate_commands
+from rx90_emulator.loop.result import MotionCommand, RunResult
 from rx90_emulator.loop.setup import Setup
 
 _AT_REST = 1e-4  # m/s: slower set-points have no direction of their own but for rounding
@@ -170,8 +170,10 @@ def run_path(
         DivergenceError: naming joint and tick.
     """
     plan = plan_path(setup, path)
-    points = replace(plan.points, correction=correction)
-    run = simulate(setup, points, start_time=start_time, substeps=substeps, record_fast=record_fast)
+    points = plan.points
+    command = MotionCommand(setup.rates.start_tick(start_time), points, correction)
+    end = start_time + float(points.times[-1])
+    run = simulate_commands(setup, (command,), points.position[0], end, substeps=substeps, record_fast=record_fast)
     task = path if isinstance(path, LineTask) else plan.task
     return LineRun(run.setup, run.fast, run.slow, run.saturated, run.commands, run.substeps, task, start_time)
 

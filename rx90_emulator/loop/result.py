@@ -29,6 +29,7 @@ from rx90_common.exchange.topics import (
 )
 from rx90_common.process.files import atomic_files
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.points import message_content
 from rx90_emulator.loop.setup import Setup
 
@@ -36,10 +37,11 @@ _NOT_DECIMATED = (MOTOR_STATES, MOTOR_COMMANDS)
 
 
 class MotionCommand(NamedTuple):
-    """A trajectory that the controller follows from a position tick on; None stops the arm."""
+    """A trajectory that the controller follows from a position tick on, with its correction; None stops the arm."""
 
     start: int
     points: TrajectoryPoints | None
+    correction: Correction | None = None
 
 
 class FastSeries(NamedTuple):
@@ -182,7 +184,7 @@ def write_bag(run: RunResult, path: Path | str, decimation: int = 1) -> None:
         string_message("/robot_description", run.setup.robot.urdf),
         parameter_message(f"/rx90_sim/{PARAMETERS}", "/rx90_sim", SEED, run.setup.seed),
     ]
-    for start, points in run.commands:
+    for start, points, _ in run.commands:
         content = message_content(names, points) if points else {"joint_names": list(names), "points": []}
         others.append(trajectory_message(f"/rx90_controller/{TRAJECTORY_ACCEPTED}", start * period_ns, content))
     if not isinstance(decimation, int | np.integer) or decimation < 1:

@@ -14,7 +14,7 @@ from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import RobotModel
 from rx90_common.process.files import write_text
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_controller.trajectory.correction import PlayedCorrection
+from rx90_controller.trajectory.correction import Correction, PlayedCorrection
 from rx90_controller.trajectory.points import message_content
 from rx90_controller.trajectory.spline import interpolate
 
@@ -22,16 +22,19 @@ _MILLI = 1e3
 _POSE = ("tool x [mm]", "tool y [mm]", "tool z [mm]", "tool roll [deg]", "tool pitch [deg]", "tool yaw [deg]")
 
 
-def write_trajectory(file: Path, robot: RobotModel, points: TrajectoryPoints, period: float) -> None:
+def write_trajectory(
+    file: Path, robot: RobotModel, points: TrajectoryPoints, period: float, correction: Correction | None = None
+) -> None:
     """Write a motion to a file, whose suffix says how.
 
     Args:
         file: `.csv` for a table of set-points: time, joints in degrees, place of the tool centre point in mm and roll,
             pitch and yaw about fixed axes in degrees; any other for the YAML of a trajectory_msgs/JointTrajectory.
         robot: the arm.
-        points: with velocities and accelerations; their correction is in the table, faded in and out as it is played,
-            and not in the YAML, which has no channel for it.
+        points: with velocities and accelerations.
         period: of the set-points in a table, s.
+        correction: of the motion; it is in the table, faded in and out as it is played, and not in the YAML, which has
+            no channel for it.
     """
     if file.suffix.lower() != ".csv":
         write_text(file, yaml_text(message_content(robot.joint_names, points)))
@@ -43,9 +46,9 @@ def write_trajectory(file: Path, robot: RobotModel, points: TrajectoryPoints, pe
     end = float(points.times[-1])
     count = int(np.floor(end / period + 1e-6)) + 1
     played = None
-    if points.correction is not None:
-        played = PlayedCorrection.started(points.correction, 0)
-        count = max(count, math.ceil(played.over * points.correction.period / period - 1e-6) + 1)
+    if correction is not None:
+        played = PlayedCorrection.started(correction, 0)
+        count = max(count, math.ceil(played.over * correction.period / period - 1e-6) + 1)
     time: Array = np.asarray(np.arange(count) * period, dtype=np.float64)
     angles = curve.sample(np.minimum(time, end))[:, 0]
     if played is not None:

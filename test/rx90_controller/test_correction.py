@@ -28,11 +28,10 @@ SIZE, COUNT = 1e-3, 1000
 FADE_TICKS = round(FADE / PERIOD)
 
 
-def points(correction: Correction | None, target: float = 0.1, seconds: float = 1.0) -> TrajectoryPoints:
+def points(target: float = 0.1, seconds: float = 1.0) -> TrajectoryPoints:
     """Return a move of all joints from HOME."""
     rest = [ZERO, ZERO]
-    made = TrajectoryPoints.create(NAMES, NAMES, [0.0, seconds], [HOME, HOME + target], rest, rest)
-    return replace(made, correction=correction)
+    return TrajectoryPoints.create(NAMES, NAMES, [0.0, seconds], [HOME, HOME + target], rest, rest)
 
 
 @pytest.fixture
@@ -50,7 +49,7 @@ def offsets(generator: TrajectoryGenerator, first: int, count: int) -> np.ndarra
 
 def test_it_comes_with_its_trajectory_and_goes_behind_it(generator: TrajectoryGenerator, steady: Correction) -> None:
     """Nothing before, full in between, nothing later; no step on the way, and the same bits tick by tick."""
-    generator.accept(points(steady), 0, 50)
+    generator.accept(points(), 0, 50, steady)
     played = offsets(generator, 0, 50 + COUNT + 2 * FADE_TICKS)
     assert not played[:50].any()
     assert played[50 + FADE_TICKS : 50 + COUNT] == pytest.approx(SIZE)
@@ -63,7 +62,7 @@ def test_it_comes_with_its_trajectory_and_goes_behind_it(generator: TrajectoryGe
 @pytest.mark.parametrize("what", ["stop", "halt", "another", "slower"])
 def test_whatever_comes_in_between_lets_it_fade(generator: TrajectoryGenerator, steady: Correction, what: str) -> None:
     """A stop, another trajectory and another speed end it from the tick on, without a step."""
-    generator.accept(points(steady), 0, 0)
+    generator.accept(points(), 0, 0, steady)
     before = offsets(generator, 0, 400)
     if what == "stop":
         generator.stop(400, None)
@@ -72,7 +71,7 @@ def test_whatever_comes_in_between_lets_it_fade(generator: TrajectoryGenerator, 
     elif what == "slower":
         generator.set_speed_scaling(0.5, 400)
     else:
-        later = replace(points(None, 0.3), times=np.array([0.5, 1.5]))
+        later = replace(points(0.3), times=np.array([0.5, 1.5]))
         generator.accept(later, 400, 400)
     played = np.concatenate([before, offsets(generator, 400, 400)])
     assert played[399] == pytest.approx(SIZE)
@@ -82,11 +81,11 @@ def test_whatever_comes_in_between_lets_it_fade(generator: TrajectoryGenerator, 
 
 def test_what_waits_goes_with_its_trajectory(generator: TrajectoryGenerator, steady: Correction) -> None:
     """A trajectory that is replaced before it begins takes its correction with it; a reset takes all."""
-    generator.accept(points(steady), 0, 300)
-    generator.accept(points(None), 100, 200)
+    generator.accept(points(), 0, 300, steady)
+    generator.accept(points(), 100, 200)
     assert not offsets(generator, 100, 1500).any()
     generator.reset(HOME)
-    generator.accept(points(steady), 0, 0)
+    generator.accept(points(), 0, 0, steady)
     generator.reset(HOME)
     assert not offsets(generator, 0, 500).any()
 
@@ -95,16 +94,16 @@ def test_refusals_leave_everything_as_it_was(generator: TrajectoryGenerator, ste
     """Another rate, a scaled speed, a late begin and offsets beyond the limits of position are refused with numbers."""
     other = Correction(np.zeros((10, 6)), 2.0 * PERIOD)
     with pytest.raises(TrajectoryError, match=r"an offset every .*; accepted: every"):
-        generator.accept(points(other), 0, None)
+        generator.accept(points(), 0, None, other)
     with pytest.raises(TrajectoryError, match=r"begins 0\.01 s late"):
-        generator.join(points(steady), 10, 0, anywhere=False)
+        generator.join(points(), 10, 0, steady, anywhere=False)
     generator.set_speed_scaling(0.5, 0)
     with pytest.raises(TrajectoryError, match=r"speed scaling 0\.5 with a correction; accepted: 1"):
-        generator.accept(points(steady), 0, None)
+        generator.accept(points(), 0, None, steady)
     generator.set_speed_scaling(1.0, 0)
     narrow = replace(LIMITS, upper=HOME + 0.1 + 0.5 * SIZE)
     with pytest.raises(TrajectoryError, match=r"the correction takes .* within the joint's limits"):
-        TrajectoryGenerator(narrow, PERIOD, HOME).accept(points(steady), 0, None)
+        TrajectoryGenerator(narrow, PERIOD, HOME).accept(points(), 0, None, steady)
     assert not generator.moving(1)
 
 
@@ -138,8 +137,8 @@ def test_a_message_carries_it_to_its_trajectory() -> None:
     assert np.array_equal(correction_from_points(sent, PERIOD).offsets, correction.offsets)
     with pytest.raises(TrajectoryError, match="accepted: a point every"):
         correction_from_points(replace(sent, times=sent.times * 1.01), PERIOD)
-    one, other = points(None), points(None, 0.2)
-    assert trajectory_identity(one) == trajectory_identity(points(correction)) != trajectory_identity(other)
+    one, other = points(), points(0.2)
+    assert trajectory_identity(one) == trajectory_identity(points()) != trajectory_identity(other)
 
 
 def test_the_loop_joins_a_trajectory_with_the_correction_that_waits_for_it(rig: Rig) -> None:

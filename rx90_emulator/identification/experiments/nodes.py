@@ -23,6 +23,7 @@ from rx90_common.exchange.client_node import POLL, ClientNode, client_node
 from rx90_common.process.children import ProcessGroup, executable
 from rx90_controller.node.trajectory_client import NewestPositions, TrajectoryClient
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.motion import Motion
 from rx90_emulator.identification.experiments.plan import TOPICS, Experiment, write_index
 from rx90_emulator.loop.setup import Setup
@@ -113,6 +114,8 @@ def follow_trajectory(
     names: Sequence[str],
     set_points: NewestPositions,
     points: TrajectoryPoints,
+    correction: Correction | None = None,
+    *,
     show: Callable[[float], object],
 ) -> float:
     """Send a trajectory, wait until the controller's set-points are at its end, and return when it ended, s."""
@@ -120,7 +123,7 @@ def follow_trajectory(
         client.spin()
     assert set_points.position is not None
     run = FollowedTrajectory(points, set_points.position, client.timeout)
-    trajectory.send(names, points)
+    trajectory.send(names, points, correction=correction)
     while not run.done:
         run.see(set_points.time, set_points.position, time.monotonic())
         show(run.elapsed)

@@ -324,9 +324,9 @@ def test_a_correction_is_played_on_the_motion_that_it_was_learned_on(
                 rx.run_line(shipped, other, correction=correction)
         with pytest.raises(ConfigError, match="the correction was learned on the robot 'rx90b', this one is 'rx90c'"):
             rx.run_line(arm, task, correction=correction)
-        points = replace(plan_line(shipped, replace(task, speed=0.15)).points, correction=correction)
+        points = plan_line(shipped, replace(task, speed=0.15)).points
         with pytest.raises(ConfigError, match="the correction was learned on a path"):
-            rx.simulate(shipped, points)
+            rx.simulate(shipped, points, correction=correction)
         with pytest.raises(ConfigError, match="the correction was learned on a path"):
             rx.learn_correction(shipped, replace(task, speed=0.15), 1, previous=correction)
 

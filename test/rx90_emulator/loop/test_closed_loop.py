@@ -22,9 +22,9 @@ from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.closed_loop import simulate, simulate_commands
 from rx90_emulator.loop.line import run_line
-from rx90_emulator.loop.result import RunResult, write_bag
+from rx90_emulator.loop.result import MotionCommand, RunResult, write_bag
 from rx90_emulator.loop.setup import Setup, load_setup
 from tools.digests import committed, digests
 
@@ -107,7 +107,8 @@ def test_simulate_equals_plant_and_controller_stepped_one_by_one(shipped: Setup,
         )
         setup = dataclasses.replace(setup, drives=drives, seed=3)
     start_time = start / rates.position_hz
-    got = series(simulate(setup, there_and_back(), HOME, 0.8, start_time, substeps, record_fast=True))
+    command = MotionCommand(setup.rates.start_tick(start_time), there_and_back())
+    got = series(simulate_commands(setup, (command,), HOME, 0.8, substeps=substeps, record_fast=True))
     want = step_by_step(setup, 0.8, start, substeps)
     assert set(got) == set(want)
     for name, values in want.items():

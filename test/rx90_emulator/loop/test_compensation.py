@@ -145,7 +145,7 @@ def test_the_controller_of_the_nodes_feeds_forward_the_same_bits(shipped: Setup,
     sent = np.empty((ticks, 6))
     for k in range(ticks):
         while waiting and 4 * waiting[0].start == k:
-            start, points = waiting.pop(0)
+            start, points, _ = waiting.pop(0)
             if points is None:
                 controller.trajectory.stop(start, start)
             else:
