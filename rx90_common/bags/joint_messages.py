@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
+from rx90_common.bags.storage import BagTopic
 from rx90_common.bags.topics import FIELDS
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
@@ -17,7 +18,6 @@ from rx90_common.base.rates import message_time_ns
 from rx90_common.exchange.cdr_stamps import ENCAPSULATION, HEAD, LITTLE_ENDIAN, cdr_stamps_ns
 
 _BLOCK = 8192  # messages; a few MB at a time, whatever the bag's size
-_MAX_LAYOUTS = 8  # in a block; messages of further ones are deserialised one by one
 
 
 class _Content(NamedTuple):
@@ -39,17 +39,16 @@ class SeriesBuilder:
     """Collects the messages of one topic and builds one JointSeries for each set of joints that occurs in it.
 
     Args:
-        topic: absolute topic name.
+        topic: of joint states.
+        effort_units: of topics whose efforts are not in the usual unit of their names.
         deserialize: the general path, by rosbags; returns an object with the message's fields.
-        cdr: whether the messages are CDR.
-        effort_unit: as in JointSeries.
     """
 
-    def __init__(self, topic: str, deserialize: Callable[[bytes], Any], *, cdr: bool, effort_unit: str = "") -> None:
-        self._topic = topic
-        self._effort_unit = effort_unit
+    def __init__(self, topic: BagTopic, effort_units: Mapping[str, str], deserialize: Callable[[bytes], Any]) -> None:
+        self._topic = topic.name
+        self._effort_unit = effort_units.get(topic.name, "")
         self._deserialize = deserialize
-        self._beginning = LITTLE_ENDIAN if cdr else None
+        self._beginning = None if topic.is_ros1 else LITTLE_ENDIAN
         self._pending: list[bytes] = []
         self._times: list[int] = []
         self._sets: dict[frozenset[str], tuple[_Content, list[_Rows]]] = {}
@@ -79,46 +78,37 @@ class SeriesBuilder:
             built.append(JointSeries(self._topic, names, stamp[order], **arrays, effort_unit=self._effort_unit))
         return built
 
-    def _keep(self, content: _Content, rows: _Rows) -> None:
-        """Keep rows with those of the same joints, in the order of joints of the first one."""
+    def _keep(self, content: _Content, place: NDArray[np.intp], stamp_ns: Int64Array, values: Array) -> None:
+        """Keep messages with those of the same joints, in the order of joints of the first one."""
         first, parts = self._sets.setdefault(frozenset(content.names), (content, []))
         if content.fields != first.fields:
             both = f"{listed(first.fields) or 'no arrays'} in some messages and {listed(content.fields) or 'no arrays'}"
             raise BagError(f"{self._topic}: carries {both} in others; accepted: the same in all")
-        if content.names != first.names:
-            columns = [content.names.index(name) for name in first.names]
-            rows = rows._replace(values=rows.values[:, :, columns])
-        parts.append(rows)
+        columns = [content.names.index(name) for name in first.names]
+        values = values.reshape(len(place), len(first.fields), len(columns))
+        parts.append(_Rows(place, stamp_ns, values if content == first else values[:, :, columns]))
 
     def _decode_pending(self) -> None:
+        """Decode messages of the layout that the first of their length has together, others one by one."""
         messages = self._pending
         start = self._decoded
         self._pending = []
         self._decoded += len(messages)
         sizes = np.array([len(message) for message in messages])
-        remaining = np.arange(len(messages))
-        layouts = 0
-        while len(remaining):
-            first = remaining[0]
-            message = self._deserialize(messages[first])
-            content, stamp_ns, values = self._content(message)
-            alike = remaining[:1]
-            others = remaining[1:]
-            if layouts < _MAX_LAYOUTS and messages[first][:ENCAPSULATION] == self._beginning:
-                layouts += 1
-                chosen = sizes[remaining] == sizes[first]
-                block = np.frombuffer(b"".join([messages[row] for row in remaining[chosen].tolist()]), np.uint8)
-                block = block.reshape(-1, sizes[first])
+        for size in dict.fromkeys(sizes.tolist()):
+            rows = np.flatnonzero(sizes == size)
+            if messages[rows[0]][:ENCAPSULATION] == self._beginning:
+                message = self._deserialize(messages[rows[0]])
+                content, _, _ = self._content(message)
+                block = np.frombuffer(b"".join([messages[row] for row in rows]), np.uint8).reshape(-1, size)
                 fixed, numbers = _places(message.header.frame_id, content)
                 fits = (block[:, fixed] == block[0, fixed]).all(axis=1)
-                chosen[chosen] = fits
-                stamp_ns = cdr_stamps_ns(block[fits])
                 values = np.take(block[fits], numbers, axis=1).view("<f8")
-                alike = remaining[chosen]
-                others = remaining[~chosen]
-            shape = len(alike), len(content.fields), len(content.names)
-            self._keep(content, _Rows(alike + start, stamp_ns, values.reshape(shape)))
-            remaining = others
+                self._keep(content, rows[fits] + start, cdr_stamps_ns(block[fits]), values)
+                rows = rows[~fits]
+            for row in rows:
+                content, stamp_ns, values = self._content(self._deserialize(messages[row]))
+                self._keep(content, np.array([row + start]), stamp_ns, values)
 
     def _content(self, message: Any) -> tuple[_Content, Int64Array, Array]:
         """Return the content of a message, its stamp and its numbers."""

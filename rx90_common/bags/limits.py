@@ -12,7 +12,7 @@ import numpy as np
 from backports import zstd
 from numpy.typing import NDArray
 
-from rx90_common.base.errors import BagError, write_error
+from rx90_common.base.errors import BagError, Rx90Error, write_error
 from rx90_common.base.quoting import plain
 
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
@@ -24,26 +24,28 @@ _MAX_ARRAYS_FACTOR = 4
 _COPY_BYTES = 1 << 20
 
 
-class DamagedError(Exception):
+class DamagedError(BagError):
     """A file contradicts itself; the text names the place, and who opened the file prefixes its name."""
 
 
 @contextmanager
 def library_errors(where: str = "") -> Iterator[None]:
-    """Make one DamagedError of whatever a library raises for bytes that it cannot read."""
+    """Make one BagError of whatever a library raises for a file that it cannot read."""
     try:
         yield
-    except (DamagedError, BagError):
+    except Rx90Error:
         raise
     except Exception as error:  # the libraries have no common error
+        if isinstance(error, OSError) and error.strerror:
+            raise BagError(f"cannot be read ({error.strerror})") from error
         text = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
-        raise DamagedError(plain(where + text, 300)) from error
+        raise DamagedError(f"is damaged: {plain(where + text, 300)}") from error
 
 
 def check_length(noun: str, length: int, most: int) -> None:
     """Refuse what would unpack to more bytes than that, before it is unpacked."""
     if length > most:
-        raise DamagedError(f"{noun}: {length:,} bytes unpacked; accepted: up to {most:,}")
+        raise DamagedError(f"is damaged: {noun}: {length:,} bytes unpacked; accepted: up to {most:,}")
 
 
 def check_whole(path: Path, noun: str, length: int, factor: int = _MAX_WHOLE_FACTOR) -> None:
@@ -93,5 +95,5 @@ def unpack_message(content: bytes) -> bytes:
     with library_errors("a compressed message: "):
         data = frame.decompress(content, MAX_MESSAGE_BYTES)
     if not frame.eof:
-        raise DamagedError(f"a compressed message is cut off, or longer than {MAX_MESSAGE_BYTES:,} bytes")
+        raise DamagedError(f"is damaged: a compressed message is cut off, or longer than {MAX_MESSAGE_BYTES:,} bytes")
     return data

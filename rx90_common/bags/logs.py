@@ -21,10 +21,10 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
-from rx90_common.bags.limits import DamagedError, check_arrays, library_errors, load_arrays
+from rx90_common.bags.limits import check_arrays, library_errors, load_arrays
 from rx90_common.bags.mapping import DELIMITERS, TIME_UNITS, FieldColumns, LogMapping, mapping_of
 from rx90_common.bags.topics import absolute
-from rx90_common.base.errors import BagError
+from rx90_common.base.errors import BagError, located
 from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 
@@ -99,11 +99,8 @@ def read_log(path: Path, mapping: LogMapping | None = None, *, skip_corrupt: boo
     """
     mapping = mapping_of(path, mapping)
     read = {".parquet": _parquet_columns, ".npz": _npz_columns}.get(path.suffix.lower(), _text_columns)
-    try:
-        with library_errors():
-            table = read(path, mapping)
-    except DamagedError as error:
-        raise BagError(f"{plain(path)}: is damaged, or no such table as its suffix says ({error})") from error
+    with located(plain(path), BagError), library_errors():
+        table = read(path, mapping)
     counts = {len(values) for values in table.columns.values()}
     if len(counts) != 1 or 0 in counts:
         lengths = ", ".join(f"{plain(column)} {len(values)}" for column, values in table.columns.items())
@@ -163,29 +160,27 @@ def _rows_in_time(table: _Table, mapping: LogMapping, stamps: Int64Array) -> NDA
 
 
 def _increasing(stamps: Int64Array) -> list[int]:
-    """Return the indices of the longest strictly increasing subsequence, of several the one with the shortest steps."""
-    piles: list[list[int]] = []  # of indices; in a pile the values decrease
-    smallest: list[int] = []  # last value of each pile
+    """Return the indices of a longest strictly increasing subsequence; of equal stamps the last is in it."""
+    smallest: list[int] = []  # of the last stamps of increasing subsequences of each length
+    ends: list[int] = []  # their indices
+    before: list[int] = []  # the index that comes before each one in its subsequence
     for k, stamp in enumerate(stamps.tolist()):
-        pile = bisect_left(smallest, stamp)
-        if pile == len(piles):
-            piles.append([])
-        piles[pile].append(k)
-        smallest[pile : pile + 1] = [stamp]
-    chosen = [pile[-1] for pile in piles[-1:]]
-    for members in reversed(piles[:-1]):
-        # Of those that come before the one behind, the first, which is the largest, with a smaller value.
-        first = bisect_left(members, True, key=lambda k: bool(stamps[k] < stamps[chosen[-1]]))
-        chosen.append(members[first])
+        length = bisect_left(smallest, stamp)
+        before.append(ends[length - 1] if length else -1)
+        smallest[length : length + 1] = [stamp]
+        ends[length : length + 1] = [k]
+    chosen = ends[-1:]
+    while before[chosen[-1]] >= 0:
+        chosen.append(before[chosen[-1]])
     return chosen[::-1]
 
 
-def _check_names(path: Path, mapping: LogMapping, known: Sequence[int | str]) -> None:
+def _check_names(mapping: LogMapping, known: Sequence[int | str]) -> None:
     """Refuse a column that is not there once."""
     for column in mapping.columns:
         if known.count(column) != 1:
             fault = "more than one column" if column in known else "no column"
-            raise BagError(f"{plain(path)}: {fault} {quoted(column)}; there are {listed(known)}")
+            raise BagError(f"{fault} {quoted(column)}; there are {listed(known)}")
 
 
 def _npz_columns(path: Path, mapping: LogMapping) -> _Table:
@@ -196,14 +191,14 @@ def _npz_columns(path: Path, mapping: LogMapping) -> _Table:
             columns[name] = values
         elif values.ndim == 2:
             columns |= {f"{name}[{k}]": column for k, column in enumerate(values.T)}
-    _check_names(path, mapping, list(columns))
+    _check_names(mapping, list(columns))
     return _Table({column: columns[str(column)] for column in mapping.columns})
 
 
 def _parquet_columns(path: Path, mapping: LogMapping) -> _Table:
     """Return the columns that are mapped: others may be of texts of any length."""
     file = pq.ParquetFile(path, page_checksum_verification=True)
-    _check_names(path, mapping, file.schema_arrow.names)
+    _check_names(mapping, file.schema_arrow.names)
     groups = [file.metadata.row_group(k) for k in range(file.metadata.num_row_groups)]
     parts = [group.column(k) for group in groups for k in range(group.num_columns)]
     pages = sum(part.total_uncompressed_size for part in parts if part.path_in_schema in mapping.columns)
@@ -232,15 +227,15 @@ def _text_columns(path: Path, mapping: LogMapping) -> _Table:
     if head is None:  # the lines before the first one that holds a number
         head = next((k for k, row in enumerate(beginning) if _has_number(row, decimal)), len(beginning))
     if mapping.header and head <= len(beginning) and all(_has_number([cell], decimal) for cell in beginning[head - 1]):
-        raise BagError(f"{plain(path)}: no names in line {head}; accepted: header, their line, or 0 for none")
+        raise BagError(f"no names in line {head}; accepted: header, their line, or 0 for none")
     widths = Counter(map(len, beginning[head:]))
     if not widths:
-        raise BagError(f"{plain(path)}: holds no row of numbers; accepted: one or more behind the header")
+        raise BagError("holds no row of numbers; accepted: one or more behind the header")
     width = widths.most_common(1)[0][0]
     # NumPy and Matlab write the names into a comment; rows may end in a delimiter more than their header.
     named = [*beginning[:head], *(_split(line, delimiter) for line in comments[:_LOOKED_AT])]
     header = next((names for count in (width, width - 1) for names in named if len(names) == count), [])
-    _check_names(path, mapping, [*header, *range(1, width + 1)])
+    _check_names(mapping, [*header, *range(1, width + 1)])
     places = {column: column - 1 if isinstance(column, int) else header.index(column) for column in mapping.columns}
     torn: dict[int, str] = {}
 
@@ -259,9 +254,9 @@ def _text_columns(path: Path, mapping: LogMapping) -> _Table:
             ),
         )
     except pa.ArrowInvalid as error:
-        raise BagError(f"{plain(path)}: {plain(error, 300)}; accepted: columns as in the signal map") from error
+        raise BagError(f"{plain(error, 300)}; accepted: columns as in the signal map") from error
     if table.num_rows + len(torn) != len(lines) - head:
-        raise BagError(f"{plain(path)}: a quotation mark without a second one in its line; accepted: pairs of them")
+        raise BagError("a quotation mark without a second one in its line; accepted: pairs of them")
     kept = np.delete(np.array(numbers[head:], dtype=np.int64), list(torn))
     columns = {column: pc.utf8_trim_whitespace(table[str(place)]) for column, place in places.items()}
     result = _Table(columns, decimal, kept)

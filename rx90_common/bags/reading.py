@@ -7,7 +7,7 @@ series.stamp_ns, series.names, series.position  # (n,), k names, (n, k)
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -108,7 +108,7 @@ class BagReader:
             connections = [connection for connection in reader.connections if topic_of(connection) in topics]
             by_id = {connection.id: topic_of(connection) for connection in connections}
             read = 0
-            with self._damage(file), library_errors():
+            with self._damage(file):
                 # To rosbags no connections are all of them.
                 for connection, log_ns, data in reader.messages(connections) if connections else ():
                     read += 1
@@ -116,7 +116,7 @@ class BagReader:
                     yield by_id[connection.id], log_ns, message
                 expected = sum(connection.msgcount for connection in connections)
                 if read != expected:
-                    raise DamagedError(f"{expected:,} messages should be there, {read:,} can be read")
+                    raise DamagedError(f"is damaged: {expected:,} messages should be there, {read:,} can be read")
 
     def deserialize(self, topic: BagTopic, data: bytes) -> Any:
         """Return the message as rosbags builds it."""
@@ -130,39 +130,6 @@ class BagReader:
             what = f"a message of {plain(topic.name)} is no {plain(topic.msgtype)} ({type(error).__name__})"
             raise BagError(f"{plain(self.path)}: damaged: {what}") from error
 
-    def joint_topics(self, names: Collection[str] | None = None, *, all_there: bool = False) -> list[BagTopic]:
-        """Return the topics of joint states, or those with these names; others are refused if all are to be there."""
-        by_name = {topic.name: topic for topic in self.topics if topic.is_joint_state}
-        wanted = by_name if names is None else dict.fromkeys(map(absolute, names))
-        if all_there and names is None and not any(topic.count for topic in by_name.values()):
-            present = listed(topic.name for topic in self.topics) or "nothing"
-            raise BagError(f"{plain(self.path)}: holds no joint states, only {present}")
-        for name in wanted:
-            if all_there and name not in by_name:
-                kinds = [plain(topic.msgtype) for topic in self.topics if topic.name == name]
-                fault = f"{plain(name)} is {kinds[0]}" if kinds else f"no topic {plain(name)}"
-                raise BagError(f"{plain(self.path)}: {fault}; {series_topics_text(self.topics)}")
-        return [by_name[name] for name in wanted if name in by_name]
-
-    def joint_states(
-        self, topics: Collection[BagTopic], progress: Progress = silent, *, record_time: bool = False
-    ) -> JointBag:
-        """Return the series of these topics of joint states."""
-        builders = {}
-        for topic in topics:
-            unit = self.effort_units.get(topic.name, "")
-            deserialize = partial(self.deserialize, topic)
-            builders[topic.name] = SeriesBuilder(topic.name, deserialize, cdr=not topic.is_ros1, effort_unit=unit)
-        if self.table:
-            return JointBag(self.path, self.topics, {s.topic: [s] for s in self.table if s.topic in builders})
-        total = sum(topic.count for topic in topics)
-        with located(plain(self.path), BagError):
-            for done, (topic, log_ns, data) in enumerate(self.messages(topics), 1):
-                builders[topic.name].add(data, log_ns if record_time else None)
-                if done % _STEP == 0 or done == total > _STEP:
-                    progress(done, total)
-            return JointBag(self.path, self.topics, {name: builder.build() for name, builder in builders.items()})
-
     def _storage_files(self) -> list[Path]:
         """Return the path itself, or the files that metadata.yaml names; note what else that says."""
         where = plain(self.path)
@@ -175,7 +142,7 @@ class BagReader:
             content = read_yaml(metadata)
         except ConfigError as error:
             raise BagError(f"{where}: {str(error).removeprefix(f'{where}/')}") from error
-        with self._damage(metadata), library_errors():
+        with self._damage(metadata):
             information = content["rosbag2_bagfile_information"]
             self._stated = information["message_count"]
             for key, value in (information.get("custom_data") or {}).items():
@@ -191,13 +158,10 @@ class BagReader:
     def _damage(self, file: Path) -> Iterator[None]:
         """Prefix messages about a storage file with bag and file."""
         try:
-            yield
-        except DamagedError as error:
-            raise BagError(f"{plain(self.path)}: {plain(file.name)} is damaged: {error}") from error
+            with library_errors():
+                yield
         except BagError as error:
             raise BagError(f"{plain(self.path)}: {plain(file.name)} {error}") from error
-        except OSError as error:
-            raise BagError(f"{plain(file)}: cannot be read ({error.strerror})") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,9 +232,27 @@ def read_joint_bag(
         record_time: as `read_joint_states`.
         all_there: whether topics that are not there are refused.
     """
-    with BagReader(path, mapping) as bag:
-        wanted = bag.joint_topics(topics, all_there=all_there)
-        return bag.joint_states(wanted, progress, record_time=record_time)
+    with BagReader(path, mapping) as bag, located(plain(path), BagError):
+        by_name = {topic.name: topic for topic in bag.topics if topic.is_joint_state}
+        if all_there and topics is None and not any(topic.count for topic in by_name.values()):
+            raise BagError(f"holds no joint states, only {listed(topic.name for topic in bag.topics) or 'nothing'}")
+        wanted = []
+        for name in by_name if topics is None else dict.fromkeys(map(absolute, topics)):
+            if name in by_name:
+                wanted.append(by_name[name])
+            elif all_there:
+                kinds = [plain(topic.msgtype) for topic in bag.topics if topic.name == name]
+                fault = f"{plain(name)} is {kinds[0]}" if kinds else f"no topic {plain(name)}"
+                raise BagError(f"{fault}; JointState topics: {listed(by_name) or 'none'}")
+        if bag.table:
+            return JointBag(bag.path, bag.topics, {s.topic: [s] for s in bag.table if by_name[s.topic] in wanted})
+        builders = {topic: SeriesBuilder(topic, bag.effort_units, partial(bag.deserialize, topic)) for topic in wanted}
+        total = sum(topic.count for topic in wanted)
+        for done, (topic, log_ns, data) in enumerate(bag.messages(wanted), 1):
+            builders[topic].add(data, log_ns if record_time else None)
+            if done % _STEP == 0 or done == total > _STEP:
+                progress(done, total)
+        return JointBag(bag.path, bag.topics, {topic.name: builder.build() for topic, builder in builders.items()})
 
 
 def read_joint_states(
@@ -318,9 +300,3 @@ def read_bag(
     bag = read_joint_bag(path, topics, record_time=record_time, all_there=True)
     wanted = [topic for topic, series in bag.series.items() if series or topics is not None]
     return {topic.removeprefix("/"): bag.one(topic) for topic in wanted}
-
-
-def series_topics_text(topics: Iterable[BagTopic]) -> str:
-    """Return the names of those topics that hold series, for a message."""
-    names = sorted({topic.name for topic in topics if topic.is_joint_state})
-    return f"JointState topics: {listed(names) or 'none'}"

@@ -103,7 +103,7 @@ def open_storage(path: Path) -> Iterator[StorageReader]:
     """Open a storage file of the kind that its first bytes show; a compressed one is decompressed to a temporary file.
 
     Raises:
-        DamagedError: if it contradicts itself.
+        DamagedError: if it contradicts itself; the libraries' own errors are the caller's.
     """
     with path.open("rb") as stream:
         beginning = stream.read(16)
@@ -114,22 +114,21 @@ def open_storage(path: Path) -> Iterator[StorageReader]:
             with open_storage(target) as storage:
                 yield storage
         return
-    with library_errors():
-        if beginning.startswith(MCAP_MAGIC):
-            reader: StorageReader = _open_mcap(path)
-        elif beginning.startswith(_SQLITE_MAGIC):
-            _check_database(path)
-            reader = Sqlite3Reader(Path(quote(str(path))))  # which stands in a URI there
-            reader.open()
-            _check_total(reader)
-        elif beginning.startswith(_ROS1_MAGIC):
-            reader = Ros1Reader(path)
-            reader.open()
-            with path.open("rb") as stream:
-                _check_chunks(path, _ros1_chunks(reader, stream))
-        else:
-            fault = "is no bag, or damaged at its beginning" if beginning else "is empty"
-            raise BagError(f"{fault}; accepted: {ACCEPTED}")
+    if beginning.startswith(MCAP_MAGIC):
+        reader: StorageReader = _open_mcap(path)
+    elif beginning.startswith(_SQLITE_MAGIC):
+        _check_database(path)
+        reader = Sqlite3Reader(Path(quote(str(path))))  # which stands in a URI there
+        reader.open()
+        _check_total(reader)
+    elif beginning.startswith(_ROS1_MAGIC):
+        reader = Ros1Reader(path)
+        reader.open()
+        with path.open("rb") as stream:
+            _check_chunks(path, _ros1_chunks(reader, stream))
+    else:
+        fault = "is no bag, or damaged at its beginning" if beginning else "is empty"
+        raise BagError(f"{fault}; accepted: {ACCEPTED}")
     with closing(reader):
         yield reader
 
@@ -160,7 +159,9 @@ def _check_chunks(path: Path, chunks: Iterator[_PackedChunk]) -> set[tuple[int, 
                 unpacked = decompressor.decompress(content, size + 1)
                 left_over = decompressor.unused_data
             if len(unpacked) != size or left_over:
-                raise DamagedError(f"the chunk at byte {start} unpacks to another length than {size:,} bytes")
+                raise DamagedError(
+                    f"is damaged: the chunk at byte {start} unpacks to another length than {size:,} bytes"
+                )
         whole += size
         check_whole(path, "chunks", whole)
         forms.add((start, compression, len(content), size))
@@ -179,7 +180,7 @@ def _open_mcap(path: Path) -> McapReader:
         start, _, crc = _FOOTER.unpack(stream.read(_FOOTER.size))
         stream.seek(start)
         if start and crc and crc32(stream.read(max(0, end - start - 4))) != crc:
-            raise DamagedError("the checksum of its summary does not match")
+            raise DamagedError("is damaged: the checksum of its summary does not match")
         forms = _check_chunks(path, _mcap_chunks(stream))
     reader = McapReader(path)
     reader.open()
@@ -188,7 +189,7 @@ def _open_mcap(path: Path) -> McapReader:
         for chunk in reader.chunks
     }
     if not indexed <= forms:
-        raise DamagedError("its index leads to no chunk")
+        raise DamagedError("is damaged: its index leads to no chunk")
     _check_total(reader)
     return reader
 
@@ -196,7 +197,7 @@ def _open_mcap(path: Path) -> McapReader:
 def _check_total(reader: McapReader | Sqlite3Reader) -> None:
     counted = sum(connection.msgcount for connection in reader.connections)
     if counted != reader.metadata.message_count:
-        raise DamagedError(f"it has {reader.metadata.message_count:,} messages, its topics {counted:,}")
+        raise DamagedError(f"is damaged: it has {reader.metadata.message_count:,} messages, its topics {counted:,}")
 
 
 def _mcap_chunks(stream: BinaryIO) -> Iterator[_PackedChunk]:
@@ -233,5 +234,5 @@ def _check_database(path: Path) -> None:
         (verdict,) = database.execute("PRAGMA integrity_check(1)").fetchone()
         (longest,) = database.execute(_LONGEST).fetchone()
     if verdict != "ok":
-        raise DamagedError(plain(verdict))
+        raise DamagedError(f"is damaged: {plain(verdict)}")
     check_length("a message", longest or 0, MAX_MESSAGE_BYTES)

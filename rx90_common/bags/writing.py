@@ -28,9 +28,6 @@ from rx90_common.bags.joint_series import Int64Array, JointSeries
 from rx90_common.bags.topics import (
     EFFORT_UNIT,
     JOINT_STATE,
-    JOINT_TRAJECTORY,
-    PARAMETER_EVENT,
-    POINT_FIELDS,
     STRING,
     absolute,
 )
@@ -43,7 +40,6 @@ from rx90_common.process.files import hidden_folder
 _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
 _MESSAGES_AT_ONCE = 10_000  # in memory while arrays are written
 _INFINITE = QosTime(9_223_372_036, 854_775_807)
-_INTEGER = 2  # of rcl_interfaces/ParameterType
 # Of mcap: op codes, and bytes.
 _MESSAGE = 0x05
 _CHUNK_BYTES: Final = 1 << 20  # a chunk that is larger is closed, as rosbags does
@@ -241,29 +237,6 @@ class SingleMessage(NamedTuple):
 def string_message(topic: str, text: str) -> SingleMessage:
     """Return a std_msgs/String, such as robot_description."""
     return SingleMessage(topic, 0, typestore().types[STRING](data=text))
-
-
-def parameter_message(topic: str, node: str, name: str, number: int) -> SingleMessage:
-    """Return the rcl_interfaces/ParameterEvent of a node with a whole number at the start of its run."""
-    types = typestore().types
-    no_arrays = [np.empty(0)] * 4
-    value = types["rcl_interfaces/msg/ParameterValue"](_INTEGER, False, number, 0.0, "", *no_arrays, [])
-    new = [types["rcl_interfaces/msg/Parameter"](name, value)]
-    zero = types["builtin_interfaces/msg/Time"](0, 0)
-    return SingleMessage(topic, 0, types[PARAMETER_EVENT](zero, node, new, [], []))
-
-
-def trajectory_message(topic: str, start_ns: int, content: dict[str, Any]) -> SingleMessage:
-    """Return a trajectory_msgs/JointTrajectory that starts at `start_ns`, from its content as YAML has it."""
-    types = typestore().types
-    points = []
-    for values in content["points"]:
-        vectors = [np.array(values.get(name) or [], dtype=np.float64) for name in POINT_FIELDS]
-        since = types["builtin_interfaces/msg/Duration"](**values["time_from_start"])
-        points.append(types["trajectory_msgs/msg/JointTrajectoryPoint"](*vectors, since))
-    stamp = types["builtin_interfaces/msg/Time"](*divmod(start_ns, NANOSECONDS))
-    header = types["std_msgs/msg/Header"](stamp, "")
-    return SingleMessage(topic, start_ns, types[JOINT_TRAJECTORY](header, content["joint_names"], points))
 
 
 @contextmanager

@@ -52,7 +52,7 @@ _MISSING: Final = {"missing", _NO_KIND}
 _MAX_FAULTS: Final = 20
 """That are told at most."""
 _NULL: Final = {"type": "null"}
-_OF_ALL_KINDS: Final = ("accepted", "description", "unit", "default", "discriminator")
+_OF_ALL_KINDS: Final[tuple[str, ...]] = ("accepted", "description", "unit", "default", "discriminator")
 """What a schema says of all kinds of value that it accepts."""
 
 
@@ -394,7 +394,7 @@ def accepted_values(schema: JsonSchema, root: JsonSchema | None = None) -> str:
     """
     schema = _resolved(schema, root or {})
     alternatives = schema.get("anyOf") or schema.get("oneOf") or ()
-    kinds = [kind for kind in alternatives if kind.get("type") != "null"]
+    kinds: list[JsonSchema] = [kind for kind in alternatives if kind.get("type") != "null"]
     kind = str(schema.get("type", ""))
     if "accepted" in schema:
         words = str(schema["accepted"])
@@ -532,11 +532,13 @@ def schema_at(root: JsonSchema, place: Place, content: Any = None) -> JsonSchema
 def _meant(schema: JsonSchema, root: JsonSchema, value: Any) -> JsonSchema:
     """Return that kind of value which a value is meant for; of values without keys all kinds together."""
     schema = _resolved(schema, root)
-    kinds = [_meant(kind, root, value) for kind in schema.get("anyOf", schema.get("oneOf", ())) if kind != _NULL]
+    alternatives = schema.get("anyOf") or schema.get("oneOf") or ()
+    kinds: list[JsonSchema] = [_meant(kind, root, value) for kind in alternatives if kind != _NULL]
     if "properties" in schema or not kinds or (len(kinds) > 1 and not isinstance(value, Mapping)):
         return schema
     words = {key: schema[key] for key in _OF_ALL_KINDS if key in schema}
-    return {**max(kinds, key=lambda kind: _likeness(kind, value)), **words}
+    likest = max(kinds, key=lambda kind: _likeness(kind, value))
+    return {**likest, **words}
 
 
 def _likeness(schema: JsonSchema, value: Any) -> tuple[bool, bool, int]:
@@ -551,6 +553,7 @@ def _likeness(schema: JsonSchema, value: Any) -> tuple[bool, bool, int]:
 
 def _inner(schema: JsonSchema, key: str | int) -> JsonSchema:
     if isinstance(key, int):
+        schema = next((kind for kind in schema.get("anyOf", ()) if kind.get("type") == "array"), schema)
         items = schema.get("prefixItems", ())
         inner = items[key] if key < len(items) else schema.get("items", {})
     elif schema.get("discriminator", {}).get("propertyName") == key:

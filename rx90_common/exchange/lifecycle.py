@@ -33,11 +33,11 @@ from rx90_common.exchange.pacing import ThrottledLog, error_log
 from rx90_common.exchange.parameters import (
     NodeParameters,
     ParameterChanges,
-    answer_all_requests,
     named_parameters,
     refuse_unknown_parameters,
     unknown_parameter,
 )
+from rx90_common.exchange.requests import answer_all_requests
 from rx90_common.exchange.ros_start import reason, start_ros
 from rx90_common.process.interrupts import end_with, stop_request
 

@@ -1,8 +1,7 @@
-"""Parameters of nodes: declared with descriptors, changed while a node runs, and checked where rclpy would fail."""
+"""Parameters of nodes: declared with descriptors, and changed while a node runs."""
 
 from __future__ import annotations
 
-import re
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,16 +16,14 @@ from rcl_interfaces.msg import (
     ParameterEvent,
     SetParametersResult,
 )
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from type_description_interfaces.srv import GetTypeDescription
 
 from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.models import FileModel, JsonSchema, Model, as_refusal, fault_lines, quantity, schema_of
-from rx90_common.base.quoting import nearest, plain, question, quoted
+from rx90_common.base.quoting import nearest, plain, question
 from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, FILES, RobotFiles, robot_folder
 from rx90_common.exchange.endpoints import PREFIX, is_given_alone, overridable_topics, ros_time
@@ -39,8 +36,6 @@ Effective = Callable[[int], None]
 _Group = tuple[tuple[str, ...], Callable[[Mapping[str, Any]], Any], Callable[[Any, Effective], None]]
 _REMEMBERED = 100  # changes that a recorder gets which comes later
 AnyNodeModel = TypeVar("AnyNodeModel", bound="NodeModel")
-_TYPES = [kind.value for kind in Parameter.Type]
-_TYPE_HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
 
 
 class NodeModel(Model):
@@ -357,36 +352,3 @@ def _with_real_numbers(given: Parameter, usual: object) -> Parameter:
     if not isinstance(usual, bool | int | float | str | bytes) and given.type_ is Parameter.Type.INTEGER_ARRAY:
         return Parameter(given.name, Parameter.Type.DOUBLE_ARRAY, [float(number) for number in given.value])
     return given
-
-
-def answer_all_requests(node: Node) -> None:
-    """Let services refuse what would leave a request without an answer, or forge lines of the log.
-
-    rclpy crashes on a value of a type that does not exist; rcl prints a type hash unchanged, with its line breaks.
-    """
-    for service in node.services:
-        if service.srv_type in (SetParameters, SetParametersAtomically):
-            service.callback = partial(_set_parameters, service.callback)
-        elif service.srv_type is GetTypeDescription:
-            service.callback = partial(_describe_type, service.callback)
-
-
-def _set_parameters(set_parameters: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
-    for parameter in request.parameters:
-        kind = parameter.value.type
-        if kind not in _TYPES:
-            reason = f"parameter {quoted(parameter.name)} has a value of type {kind}; accepted: 0 to {max(_TYPES)}"
-            result = SetParametersResult(successful=False, reason=reason)
-            if isinstance(response, SetParametersAtomically.Response):
-                response.result = result
-            else:
-                response.results = [result] * len(request.parameters)
-            return response
-    return set_parameters(request, response)
-
-
-def _describe_type(describe: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
-    if _TYPE_HASH.fullmatch(request.type_hash):
-        return describe(request, response)
-    response.failure_reason = f"type_hash is {quoted(request.type_hash)}; accepted: RIHS01_ and 64 digits"
-    return response

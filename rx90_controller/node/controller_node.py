@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -20,6 +20,7 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.errors import ExchangeError
+from rx90_common.base.models import refusals
 from rx90_common.base.quoting import one_line, plain
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import load_robot
@@ -39,6 +40,7 @@ from rx90_common.exchange.endpoints import (
 )
 from rx90_common.exchange.lifecycle import Diagnostics, ManagedNode, started
 from rx90_common.exchange.pacing import Pacer
+from rx90_common.exchange.parameters import Effective, nested
 from rx90_common.exchange.ros_start import missing_control_msgs, missing_controller_manager_msgs
 from rx90_common.exchange.topics import (
     COMMANDED_CORRECTION,
@@ -54,11 +56,10 @@ from rx90_common.exchange.topics import (
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import load_controller
 from rx90_controller.node.parameters import (
+    LAW_BLOCKS,
     OF_ROBOT,
     ControllerFiles,
     ControllerParameters,
-    allow_goal_changes,
-    law_names,
     law_of,
     unused_parameters,
 )
@@ -67,6 +68,7 @@ from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.node.simulation_mode import SimulationMode
 from rx90_controller.servo.events import TorqueSwitch
 from rx90_controller.trajectory.points import check_trajectory_bytes
+from rx90_controller.trajectory.request import Constraints, GoalOptions, GoalTolerances
 from rx90_controller.trajectory.stream import from_message
 
 if TYPE_CHECKING:
@@ -147,7 +149,7 @@ class Control:
         self.loop = loop = ServoLoop(cs7b, self, parameters.max_seconds_ahead, monitor_ticks)
         loop.post(TorqueSwitch(on=False, by_node=True))
         node.changes.allow(
-            law_names(node), lambda values: law_of(of_file, values).record(robot, drives, rates), loop.change_law
+            _law_names(node), lambda values: law_of(of_file, values).record(robot, drives, rates), loop.change_law
         )
         loop.options = parameters.options
         loop.tolerances = parameters.tolerances
@@ -177,7 +179,7 @@ class Control:
             *([] if self.clients is None else [self.clients.publisher]),
             channel.publisher,
         )
-        allow_goal_changes(node, cs7b.joint_names, loop)
+        _allow_goal_changes(node, cs7b.joint_names, loop)
         self._reported = (0, time.monotonic())  # tick and time of the last status
         self._diagnostics = Diagnostics(node, self._status)
 
@@ -418,3 +420,27 @@ class ControllerNode:
 def spin(args: Sequence[str]) -> None:
     """Run the node until it is interrupted."""
     lifecycle.spin(lambda: started([ControllerNode()]), args)
+
+
+def _allow_goal_changes(node: ManagedNode, names: Sequence[str], loop: ServoLoop) -> None:
+    """Let options and tolerances be changed for the next goals and trajectories of an arm with these joints."""
+
+    def change_options(options: GoalOptions, effective: Effective) -> None:
+        effective(loop.change(options=options))
+
+    def change_tolerances(tolerances: GoalTolerances, effective: Effective) -> None:
+        effective(loop.change(tolerances=tolerances))
+
+    def read_tolerances(values: Mapping[str, Any]) -> GoalTolerances:
+        with refusals(Constraints):
+            constraints = Constraints.model_validate(nested(values)["constraints"])
+        return GoalTolerances.of_parameters(names, constraints)
+
+    node.changes.allow(tuple(GoalOptions.model_fields), lambda values: GoalOptions(**values), change_options)
+    of_constraints = [name for name in node.get_parameters_by_prefix("") if name.startswith("constraints.")]
+    node.changes.allow(of_constraints, read_tolerances, change_tolerances)
+
+
+def _law_names(node: ManagedNode) -> list[str]:
+    """Return the names of the declared parameters of the law."""
+    return [name for name in node.get_parameters_by_prefix("") if name.partition(".")[0] in LAW_BLOCKS]

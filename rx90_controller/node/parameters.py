@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from functools import partial
 from typing import Annotated, Any, Final, TypeAlias
 
 from pydantic import Field
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import Model, quantity, refusals
+from rx90_common.base.models import Model, quantity
 from rx90_common.base.quoting import nearest, plain, question, quoted
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import DESCRIPTIONS
-from rx90_common.exchange.lifecycle import ManagedNode
-from rx90_common.exchange.parameters import Effective, RobotParameters, nested
+from rx90_common.exchange.parameters import RobotParameters, nested
 from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS
 from rx90_controller.law.parameters import CS7BParameters, FeedForward, Servo, Supervision, load_controller
-from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory.request import Constraints, GoalOptions, GoalTolerances
 from rx90_controller.trajectory.stream import StreamOptions
 
@@ -181,27 +179,3 @@ def law_of(law: CS7BParameters, values: Mapping[str, Any]) -> CS7BParameters:
     except ConfigError as error:
         raise ConfigError(f"parameter {error}") from None
     return changed
-
-
-def allow_goal_changes(node: ManagedNode, names: Sequence[str], loop: ServoLoop) -> None:
-    """Let options and tolerances be changed for the next goals and trajectories of an arm with these joints."""
-
-    def change_options(options: GoalOptions, effective: Effective) -> None:
-        effective(loop.change(options=options))
-
-    def change_tolerances(tolerances: GoalTolerances, effective: Effective) -> None:
-        effective(loop.change(tolerances=tolerances))
-
-    def read_tolerances(values: Mapping[str, Any]) -> GoalTolerances:
-        with refusals(Constraints):
-            constraints = Constraints.model_validate(nested(values)["constraints"])
-        return GoalTolerances.of_parameters(names, constraints)
-
-    node.changes.allow(tuple(GoalOptions.model_fields), lambda values: GoalOptions(**values), change_options)
-    of_constraints = [name for name in node.get_parameters_by_prefix("") if name.startswith("constraints.")]
-    node.changes.allow(of_constraints, read_tolerances, change_tolerances)
-
-
-def law_names(node: ManagedNode) -> list[str]:
-    """Return the names of the declared parameters of the law."""
-    return [name for name in node.get_parameters_by_prefix("") if name.partition(".")[0] in LAW_BLOCKS]

@@ -175,7 +175,8 @@ def write_bag(run: RunResult, path: Path | str, decimation: int = 1) -> None:
     """
     check_type(run=(run, RunResult))
     # Here, because it takes as long as the plant's import.
-    from rx90_common.bags.writing import parameter_message, string_message, trajectory_message, write_joint_states
+    from rx90_common.bags.writing import string_message, write_joint_states
+    from rx90_emulator.loop.run_messages import parameter_message, trajectory_message
 
     names = run.setup.robot.joint_names
     rates = run.setup.rates

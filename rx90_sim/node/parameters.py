@@ -6,21 +6,17 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
-from rclpy.node import Node
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import RowOf, as_refusal, quantity, refusal
-from rx90_common.base.quoting import counted, one_line
+from rx90_common.base.quoting import counted
 from rx90_common.base.rates import ticks_per
-from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
-from rx90_common.description.robot_files import DESCRIPTIONS, RobotFiles
+from rx90_common.description.robot_files import DESCRIPTIONS
 from rx90_common.exchange.parameters import RobotParameters
 from rx90_common.exchange.topics import FREE_RUNNING, JOINT_INTERFACE, MOTOR_INTERFACE
-from rx90_common.friction import load_friction
 from rx90_common.friction.parts.scatter import LARGEST_SEED
-from rx90_sim.plant import Plant
 from rx90_sim.plant_steps import MAX_STEPS
 
 FILE_PARAMETERS = ("urdf", "tool", "drives", "friction")
@@ -142,18 +138,3 @@ class SimulationParameters(RobotParameters):
     def last_tick(self) -> int | None:
         """Return the tick at which the run ends, None for a run without end."""
         return round(self.duration * self.base_rate) if self.duration > 0 else None
-
-
-def build_plant(node: Node, files: RobotFiles, parameters: SimulationParameters) -> tuple[RobotModel, Plant]:
-    """Read the robot's files and put the arm at its initial position."""
-    robot = load_robot(files.urdf, files.tool)
-    drives = load_drives(files.drives)
-    substeps = parameters.substeps or None
-    robot.check_count(files.drives, "gear", drives.gear)
-    friction = load_friction(files.friction, drives.turning.element_names(robot.joint_names))
-    for line in friction.passivity_warnings(drives.turning.reach(robot.max_velocity)):
-        node.get_logger().warning(one_line(line))
-    plant = Plant(robot, drives, friction, parameters.rates, substeps, parameters.seed)
-    plant.reset(parameters.start(robot))
-    plant.warm_up()
-    return robot, plant

@@ -6,12 +6,15 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import counted, plain
+from rx90_common.base.quoting import counted, one_line, plain
+from rx90_common.description.drives import load_drives
+from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.channel import Channel, MakeChannel
 from rx90_common.exchange.endpoints import LATCHED_QOS, REQUEST_QOS
@@ -27,12 +30,11 @@ from rx90_common.exchange.topics import (
     TIME_MODE,
     TimeMode,
 )
+from rx90_common.friction import load_friction
 from rx90_sim.drives import warm_motors
-from rx90_sim.node.parameters import (
-    SimulationParameters,
-    build_plant,
-)
+from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.node.ticks import Ticks
+from rx90_sim.plant import Plant
 
 _REQUEST_TIMEOUT = 5.0  # s
 
@@ -139,7 +141,7 @@ class SimulatedArm:
     def __init__(self, node: ManagedNode, files: RobotFiles, parameters: SimulationParameters) -> None:
         self._node = node
         self._parameters = parameters
-        robot, self._plant = build_plant(node, files, parameters)
+        robot, self._plant = _build_plant(node, files, parameters)
         self._warm = False
         self._robot_name = plain(robot.model.name)
         self.ticks = Ticks(node, robot, self._plant, parameters)
@@ -255,3 +257,18 @@ class SimulatedArm:
 def spin(args: Sequence[str]) -> None:
     """Run the node until it ends or is interrupted."""
     spin_nodes(lambda: started([Simulation()]), args)
+
+
+def _build_plant(node: Node, files: RobotFiles, parameters: SimulationParameters) -> tuple[RobotModel, Plant]:
+    """Read the robot's files and put the arm at its initial position."""
+    robot = load_robot(files.urdf, files.tool)
+    drives = load_drives(files.drives)
+    substeps = parameters.substeps or None
+    robot.check_count(files.drives, "gear", drives.gear)
+    friction = load_friction(files.friction, drives.turning.element_names(robot.joint_names))
+    for line in friction.passivity_warnings(drives.turning.reach(robot.max_velocity)):
+        node.get_logger().warning(one_line(line))
+    plant = Plant(robot, drives, friction, parameters.rates, substeps, parameters.seed)
+    plant.reset(parameters.start(robot))
+    plant.warm_up()
+    return robot, plant

@@ -12,12 +12,12 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError, TrajectoryError
 from rx90_common.base.quoting import listed
 from rx90_common.base.rates import Rates
+from rx90_common.description.assumed_files import FULL_SPEED_TIME
 from rx90_common.description.joint_model import robot_of_urdf
 from rx90_common.description.poses import check_pose
 from rx90_common.description.robot import RobotModel
 from rx90_common.exchange.topics import motor_names
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
-from rx90_emulator.configuration.assumed_files import FULL_SPEED_TIME
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.experiments.plan import Experiment, poses_of
 from rx90_emulator.loop.setup import Setup

@@ -22,12 +22,12 @@ from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.models import FileModel
 from rx90_common.base.quoting import listed
 from rx90_common.base.share import versions
+from rx90_common.description.assumed_files import assumed_files
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.drives import load_drives
 from rx90_common.description.joint_model import all_joints
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
-from rx90_emulator.configuration.assumed_files import assumed_files
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.bodies import central
 from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate, digits

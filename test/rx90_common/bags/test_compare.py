@@ -18,8 +18,9 @@ from hypothesis import strategies as st
 from rx90_common.bags.comparison import Scope, TopicComparison, Verdict, compare_series
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.tolerance import Tolerances
-from rx90_common.bags.writing import trajectory_message, write_joint_states
+from rx90_common.bags.writing import write_joint_states
 from rx90_emulator.cli.frame import run
+from rx90_emulator.loop.run_messages import trajectory_message
 
 
 def compared(a: JointSeries, b: JointSeries, *rules: str, **scope: Any) -> TopicComparison:

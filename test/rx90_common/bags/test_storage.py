@@ -262,7 +262,7 @@ def test_a_chunk_takes_no_more_memory_than_its_head_says(
 def write_mcap(path: Path, compression: CompressionType, index: IndexType) -> None:
     """Write 20 messages in several chunks by the mcap project's writer."""
     writer = McapWriter(str(path), chunk_size=500, compression=compression, index_types=index)
-    writer.start()
+    writer.start("ros2")
     channel = writer.register_channel("/x", "cdr", writer.register_schema(JOINT_STATE, "ros2msg", b""))
     for stamp in range(20):
         data = bytes(ROS2.serialize_cdr(joint_state(stamp, ["a"], [1.0]), JOINT_STATE))
@@ -595,7 +595,5 @@ def test_what_unpacks_to_far_more_is_refused_before(name: str, tmp_path: Path) -
     )
     assert not done.stderr
     line, peak = done.stdout.splitlines()
-    assert re.search(
-        "bytes unpacked; accepted: up to|another length than 1,000 bytes|is damaged, or no such table", line
-    )
+    assert re.search("bytes unpacked; accepted: up to|another length than 1,000|is damaged: ", line)
     assert int(peak) <= 500
