@@ -204,34 +204,38 @@ class _Trials:
         self._block = recorded.block[row]
         self._arm = arm
         self._used = recorded.used
-        moved = recorded.used.any(axis=0)
-        self.joints = np.flatnonzero(moved).tolist()
-        self._size = np.sqrt(np.mean(recorded.torque**2, axis=0, where=recorded.used | ~moved)) + 1e-9
+        self.joints = np.flatnonzero(recorded.used.any(axis=0)).tolist()
         factors = np.ones((2, len(arm.names)))
         for factor, values in zip(factors, (options.gear, options.torque_constant), strict=True):
             factor[arm.identified] = 1.0 if values is None else values
         self._turns = factors[0][:, None] * arm.coupling
         self._push = self._turns.T * factors[1]
-        self._motion = recorded.motion
         # At each delay that can be tried, of which the middle one is none.
-        self._torques = recorded.torque[None] if recorded.later is None else recorded.later
-        self.model = self._fitted(recorded.motion)
-        self.residual = self.model.residual(recorded.torque)
+        self._take(recorded.motion, recorded.torque[None] if recorded.later is None else recorded.later)
+
+    def _take(self, motion: Array, torques: Array) -> None:
+        """Go on with a motion, and with torques at all delays."""
+        self._motion = motion
+        self._torques = torques
+        self._size = self._usual(torques)
+        self.model = self._fitted(motion)
+        self.residual = self.model.residual(torques[len(torques) // 2])
 
     def undo(self, joints: Sequence[int]) -> Mistake | None:
         """Undo the mistake that explains the torque best, and return it, if it does so clearly."""
         delays = LAGS if len(self._torques) == len(LAGS) else LAGS[:0]
         mistakes = [*(Mistake("delay of the torques", delay=float(lag)) for lag in delays), *_mistakes(joints)]
         trials = [(mistake, *self._without(mistake)) for mistake in mistakes]
-        # Of mistakes that explain it equally well, the first.
 
-        def unlikelihood(trial: tuple[Mistake, Array, Array, _SimplestModel, Array]) -> float:
+        def unlikelihood(trial: tuple[Mistake, Array, Array, Array]) -> float:
             return round(float(np.log(self._errors(trial[-1])).mean()), 3)
 
+        # Of mistakes that explain it equally well, the first.
         best = min(trials, key=unlikelihood, default=None)
         if best is None or not self._clear(best[-1]):
             return None
-        mistake, self._motion, self._torques, self.model, self.residual = best
+        mistake, motion, torques, _ = best
+        self._take(motion, torques)
         return mistake
 
     @property
@@ -239,8 +243,8 @@ class _Trials:
         """Return the RMS of the residual, each joint's in parts of its own torque."""
         return float(np.sqrt(np.mean(self.residual**2)))
 
-    def _without(self, mistake: Mistake) -> tuple[Array, Array, _SimplestModel, Array]:
-        """Return motion, torques, their model and its residual with a mistake undone."""
+    def _without(self, mistake: Mistake) -> tuple[Array, Array, Array]:
+        """Return motion, torques and what the model leaves of them with a mistake undone."""
         positions, efforts = mistake.matrices(len(self._turns))
         torques = self._torques @ np.linalg.solve(self._push.T, efforts.T @ self._push.T)
         if mistake.delay:
@@ -251,7 +255,15 @@ class _Trials:
             motion = motion @ np.linalg.solve(self._turns, positions @ self._turns).T
             motion[0][:, list(mistake.motors)] -= mistake.turns
             model = self._fitted(motion)
-        return motion, torques, model, model.residual(torques[len(torques) // 2])
+        residual = model.residual(torques[len(torques) // 2])
+        if mistake.swapped[1]:  # a joint that rests has little torque, of which any model leaves little
+            residual = residual * np.maximum(self._size / self._usual(torques), 1.0)[self._joint]
+        return motion, torques, residual
+
+    def _usual(self, torques: Array) -> Array:
+        """Return the RMS of the torque of no delay at each joint where it is used, Nm, shape (n,)."""
+        used = self._used | ~self._used.any(axis=0)
+        return np.asarray(np.sqrt(np.mean(torques[len(torques) // 2] ** 2, axis=0, where=used)) + 1e-9)
 
     def _clear(self, residual: Array) -> bool:
         """Return whether a residual is clearly less than the one now: in sum, or in nearly all blocks."""
@@ -342,31 +354,60 @@ def _option(name: str, values: Array) -> str:
     return f"--{name} {' '.join(f'{value:.6g}' for value in values)}"
 
 
-_FORGOTTEN_GEAR = 10.0  # described over recorded torque: friction makes it less, a forgotten gear 30 to 300
+_FAR_SCALE = 10.0  # of torques, or less than one over it: units are 1000 off, forgotten gears 30 to 300, masses less
+_TOLD_SHARE = 0.3  # of a scale: three standard errors up to which it is told
 
 
-def unit_alarms(arm: RigidArm, recorded: Recorded) -> tuple[str, ...]:
-    """Return in a sentence at which joints the recorded torque is far too small for the described bodies.
+def torque_scales(arm: RigidArm, recorded: Recorded) -> dict[str, float]:
+    """Return by joint how many times the torque that the described bodies need was recorded; 1 for the described arm.
+
+    It is the slope of the recorded over the described torque, beside an offset, Coulomb and viscous friction. NaN where
+    what the bodies need varies too little to tell, such as the weight on a vertical axis.
 
     Args:
-        arm: with the description's inertias; without any there is no alarm.
+        arm: with the description's inertias.
         recorded: of its joints.
     """
     described = arm.torque(*recorded.motion)
-    ratios = {}
-    for joint, used in enumerate(recorded.used.T):
-        size = float(np.linalg.norm(recorded.torque[used, joint]))
-        ratio = float(np.linalg.norm(described[used, joint])) / max(size, 1e-9)
-        if ratio > _FORGOTTEN_GEAR:
-            ratios[arm.names[joint]] = f"{ratio:.2g}"
-    # A gear is forgotten at all joints or at none; a single effort may be dead.
-    if 2 * len(ratios) <= np.count_nonzero(recorded.used.any(axis=0)):
+    velocity = recorded.motion[1] @ arm.element_matrix.T
+    scales = {}
+    for joint, name in enumerate(arm.names):
+        rows = np.flatnonzero(recorded.used[:, joint])
+        inputs = velocity[rows][:, arm.element_matrix[:, joint] != 0.0]
+        beside = np.hstack([np.ones((len(rows), 1)), np.sign(inputs), inputs])
+        both = np.column_stack([described[rows, joint], recorded.torque[rows, joint]])
+        needed, given = (both - beside @ np.linalg.lstsq(beside, both, rcond=None)[0]).T
+        size = float(needed @ needed) + 1e-12
+        scale = float(needed @ given) / size
+        errors = np.bincount(recorded.block[rows], needed * (given - scale * needed))
+        told = _CLEAR_SE * float(np.linalg.norm(errors)) / size < _TOLD_SHARE * abs(scale)
+        many = len(rows) > _ROWS_PER_PARAMETER * (1 + beside.shape[1])
+        scales[name] = scale if told and many and size > 1e-9 else math.nan
+    return scales
+
+
+def scale_alarms(scales: Mapping[str, float]) -> tuple[str, ...]:
+    """Return in a sentence that torques are far less, or more, than the described bodies need, of most joints."""
+    sizes = {name: abs(scale) for name, scale in scales.items() if not math.isnan(scale)}
+    # A gear or a unit is wrong at all joints or at none; a single effort may be dead.
+    far = _far(sizes, _FAR_SCALE)
+    if not far:
         return ()
+    times = ", ".join(f"{sizes[name]:.2g}" for name in far)
     return (
-        f"the torque of {listed(list(ratios))} is {', '.join(ratios.values())} times smaller than the described bodies "
-        "need; accepted: --gear for states of the motors, --torque-constant with the gears' ratios for torques of the "
-        "motors beside angles of the joints, or a description of this arm",
+        f"the torque of {listed(far)} is {times} times what the described bodies need; accepted: --gear for states of "
+        "the motors, --torque-constant with the gears' ratios for torques of the motors beside angles of the joints, "
+        "efforts in Nm, or a description of this arm",
     )
+
+
+def _far(ratios: Mapping[str, float], most: float) -> list[str]:
+    """Return the joints whose ratios are above the most, or below one over it, if they are more than half of all."""
+    for power in (1.0, -1.0):
+        far = [name for name, ratio in ratios.items() if ratio > 0.0 and ratio**power > most]
+        if 2 * len(far) > len(ratios):
+            return far
+    return []
 
 
 class MovedBodies(NamedTuple):
@@ -415,21 +456,17 @@ _MASS_RATIO = 4.0  # of what a joint moves by the result to the described
 
 def body_alarms(bodies: Sequence[MovedBodies]) -> tuple[str, ...]:
     """Return in a sentence that most joints move far more, or far less, than described; a payload is at the last."""
-    before, after = np.array([moved.mass for moved in bodies]).T
-    ratios = np.where(before > 0.0, after / np.where(before > 0.0, before, 1.0), 1.0)
+    masses = {moved.joint: moved.mass for moved in bodies}
+    ratios = {name: after / before if before > 0.0 else 1.0 for name, (before, after) in masses.items()}
+    far = _far(ratios, _MASS_RATIO)
+    if not far:
+        return ()
+    texts = [f"{name} {masses[name][1]:.3g} kg ({masses[name][0]:.3g} kg described)" for name in far]
     payload = ", or, where all joints move as much more, its payload in the description"
-    for far, also in ((ratios > _MASS_RATIO, payload), (ratios < 1.0 / _MASS_RATIO, "")):
-        if 2 * np.count_nonzero(far) > len(bodies):
-            masses = [
-                f"{moved.joint} {moved.mass[1]:.3g} kg ({moved.mass[0]:.3g} kg described)"
-                for moved, named in zip(bodies, far.tolist(), strict=True)
-                if named
-            ]
-            return (
-                f"the bodies of the result are not the described ones: {', '.join(masses)}; accepted: gears, units and "
-                f"torque constants with which they agree, or a description of this arm{also}",
-            )
-    return ()
+    return (
+        f"the bodies of the result are not the described ones: {', '.join(texts)}; accepted: gears, units and torque "
+        f"constants with which they agree, or a description of this arm{payload if ratios[far[0]] > 1.0 else ''}",
+    )
 
 
 def log_alarms(records: Mapping[str, Sequence[JointRecord]]) -> tuple[str, ...]:
@@ -447,4 +484,4 @@ def alarms(
 
     Where gears are forgotten, no body explains the torques of two joints, and nothing else can be told.
     """
-    return unit_alarms(arm, recorded) or mistake_alarms(arm, recorded, options, zero)
+    return scale_alarms(torque_scales(arm, recorded)) or mistake_alarms(arm, recorded, options, zero)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from rx90_emulator.identification.options import SLIDING_PARTS, model_parts
 from rx90_emulator.identification.records import BagSource, JointRecord
 from rx90_emulator.identification.rows.plateaus import BagUse
 from rx90_emulator.identification.rows.sweeps import Blocks, SweepRows, find_blocks, sweep_rows
-from rx90_emulator.identification.sanity import Recorded, mistake_alarms
+from rx90_emulator.identification.sanity import Recorded, alarms, torque_scales
 
 MIN_SPEEDS = 5
 """Least number of speeds in each direction: four determine the seven parameters of an element, and one more leaves a
@@ -53,7 +53,8 @@ class SlidingFit:
         inertial_covariance: its covariance, the prior's along directions that sweeps do not observe, (10 n, 10 n).
         plateaus: number of stretches of constant velocity that were used.
         usage: what was used of each record, and why the rest was not.
-        alarms: which sign or zero looks wrong, a sentence each.
+        alarms: which unit, sign, zero, column or delay looks wrong, a sentence each.
+        scales: by joint, how many times the torque that the described bodies need was recorded, as in `torque_scales`.
     """
 
     estimates: tuple[ElementEstimate, ...]
@@ -63,6 +64,7 @@ class SlidingFit:
     plateaus: int
     usage: tuple[BagUse, ...] = ()
     alarms: tuple[str, ...] = ()
+    scales: Mapping[str, float] = field(default_factory=dict)
 
 
 def identify_sliding(
@@ -89,7 +91,8 @@ def identify_sliding(
         name = min(lacking, key=lambda name: lacking[name] == _DOES_NOT_SLIDE)
         raise IdentificationError(f"{where}: {name} {lacking[name]}")
     used = ~(~blocks.sliding[blocks.plateau] @ (arm.element_matrix != 0.0)) & arm.identified
-    alarms = mistake_alarms(arm, Recorded(blocks.motion, blocks.torque, used, blocks.plateau), zero=zero)
+    recorded = Recorded(blocks.motion, blocks.torque, used, blocks.plateau, blocks.later)
+    doubts = alarms(arm, recorded, zero=zero)
     rows = sweep_rows(blocks, arm, known)
     parts = None if model is None else model_parts(model, SLIDING_PARTS)
     shared = [int(e) >= len(arm.names) for e in known]
@@ -115,7 +118,7 @@ def identify_sliding(
                 f"{where}: {names[e]}: the torque does not oppose the motion; accepted: efforts of the sign with which "
                 "the drive moves the joint (check the signs of gears and torque constants)"
             )
-            raise IdentificationError("; ".join((error, *alarms)))
+            raise IdentificationError("; ".join((error, *doubts)))
         element = _Element(names[e], law, result.x[place], spread.covariance[place, place], spread.determined[place])
         estimates[e] = element.estimate(rows.friction.elements[k].speeds, parts, sources)
         curves[e] = element.curve(rows, k, result)
@@ -123,7 +126,16 @@ def identify_sliding(
     first = len(result.x)
     covariance = spread.covariance[first:, first:] * np.outer(scale, scale)
     count = len(np.unique(rows.plateau))
-    return SlidingFit(tuple(estimates), tuple(curves), scale * result.linear, covariance, count, usage, alarms)
+    return SlidingFit(
+        tuple(estimates),
+        tuple(curves),
+        scale * result.linear,
+        covariance,
+        count,
+        usage,
+        doubts,
+        torque_scales(arm, recorded),
+    )
 
 
 def _lacking(blocks: Blocks, names: Sequence[str]) -> dict[str, str]:

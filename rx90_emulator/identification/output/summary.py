@@ -96,7 +96,14 @@ def _with_deviation(estimate: ParameterEstimate | None) -> str:
 def _sweep_lines(result: FrictionIdentification) -> list[str]:
     """Return how well the curves fit, and what was used of each bag of sweeps."""
     fits = [f"fit of {name}: {fit_text(curve)}" for name, curve in result.curves.items()]
-    return [*fits, *(f"{use.bag.path}: {use.text(result.arm.element_names)}" for use in result.sliding.usage)]
+    uses = [f"{use.bag.path}: {use.text(result.arm.element_names)}" for use in result.sliding.usage]
+    return [*fits, f"recorded over described weight: {', '.join(map(' '.join, scale_texts(result)))}", *uses]
+
+
+def scale_texts(result: FrictionIdentification) -> list[tuple[str, str]]:
+    """Return how many times the torque that the described bodies need was recorded, by joint, or that none can tell."""
+    scales = result.sliding.scales.items()
+    return [(joint, "cannot be told" if math.isnan(scale) else f"{scale:.3g}") for joint, scale in scales]
 
 
 def fit_text(curve: FrictionCurve) -> str:

@@ -27,6 +27,7 @@ from rx90_common.estimation.law import Speeds
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.rows.plateaus import BagUse, Plateau, find_plateaus, velocity
+from rx90_emulator.identification.sanity import LAGS
 
 _TRIMMED = 0.15  # of a block's samples at either end of their order: spikes
 _LONGEST_S = 2.0  # plateau that weighs more than shorter ones: beyond it the mean has what all samples share
@@ -40,6 +41,7 @@ class Blocks:
     Attributes:
         motion: positions, rad, velocities, rad/s, and accelerations, rad/s^2, shape (3, b, n).
         torque: of the drives, Nm, shape (b, n).
+        later: the torque that was recorded later by each of LAGS, Nm, shape (l, b, n).
         plateau: number of each block's plateau, shape (b,).
         velocity: of the elements in each plateau, rad/s, shape (p, n_el).
         sliding: which elements slide in it, shape (p, n_el).
@@ -48,6 +50,7 @@ class Blocks:
 
     motion: Array
     torque: Array
+    later: Array
     plateau: Index
     velocity: Array
     sliding: Mask
@@ -63,14 +66,17 @@ def find_blocks(records: Sequence[JointRecord], elements: Array) -> tuple[Blocks
     """
     usage = []
     means = []
+    later = []
     velocities = []
     sliding = []
     duration = []
     for record in records:
         plateaus, use = find_plateaus(record, elements)
         usage.append(use)
+        sums = np.cumsum(np.insert(record.torque, 0, 0.0, axis=0), axis=0)
         for plateau in plateaus:
             means.append(_block_means(record, plateau))
+            later.append(_later_means(record, plateau, sums))
             velocities.append(elements @ velocity(record, plateau.rows))
             sliding.append(plateau.sliding)
             duration.append(np.ptp(record.time[plateau.rows]))
@@ -80,9 +86,12 @@ def find_blocks(records: Sequence[JointRecord], elements: Array) -> tuple[Blocks
             f"{reasons or 'no bag'}: no stretch of constant velocity; accepted: sweeps at constant velocity"
         )
     joined = np.concatenate(means, axis=1)
+    lagged = np.concatenate(later, axis=1)
+    lagged[len(LAGS) // 2] = joined[3]
     blocks = Blocks(
         motion=joined[:3],
         torque=joined[3],
+        later=lagged,
         plateau=np.repeat(np.arange(len(means)), [part.shape[1] for part in means]),
         velocity=np.array(velocities),
         sliding=np.array(sliding),
@@ -101,6 +110,15 @@ def _block_means(record: JointRecord, plateau: Plateau) -> Array:
     torque = np.array([trim_mean(record.torque[block], _TRIMMED) for block in blocks])
     motion = np.broadcast_to(mean, position.shape), np.broadcast_to(acceleration, position.shape)
     return np.stack([position, *motion, torque])
+
+
+def _later_means(record: JointRecord, plateau: Plateau, sums: Array) -> Array:
+    """Return a plateau's means of the torque at all lags, shape (l, b, n), by the sums of it, shape (m + 1, n)."""
+    rows = plateau.rows
+    lag = np.clip(np.round(LAGS / record.period), -rows.start, len(record.time) - rows.stop).astype(np.intp)
+    begin, end = plateau.blocks.T
+    total = sums[end + lag[:, None]] - sums[begin + lag[:, None]]
+    return np.asarray(total / (end - begin)[:, None])
 
 
 @dataclass(frozen=True, eq=False)

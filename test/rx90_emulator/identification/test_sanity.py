@@ -105,7 +105,9 @@ def test_a_delay_of_the_torques_is_measured(described: RigidArm, record: JointRe
 def test_forgotten_gears_are_named_and_nothing_else(described: RigidArm, record: JointRecord) -> None:
     """Torques of motors beside angles of joints are far too small for the described bodies."""
     text = said(described, replace(record, torque=record.torque / [100.0, 120.0, 80.0, 60.0]))
-    assert re.search(r"^the torque of joint_1, .* times smaller than .* accepted: --gear .*--torque-constant", text)
+    assert re.search(
+        r"^the torque of joint_1, .* times what the described bodies need; accepted: --gear .*--torque-constant", text
+    )
     assert "wrong" not in text
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -75,6 +76,21 @@ def test_an_unknown_payload_of_one_kilogram_does_not_move_tau_c(sweeps: Any, arm
     rigid = arm.torque(q, v, np.zeros_like(v)) + arm.regressor(q, v, np.zeros_like(v)) @ full.inertial
     expected = loaded.torque[rows, 1] - friction.elements[1].steady_torque(v[:, 1])
     assert np.abs(rigid[:, 1] - expected).max() < 0.2
+
+
+def test_torques_that_no_weight_explains_are_an_alarm(sweeps: Any, arm: RigidArm) -> None:
+    """Torques in mNm, of motors, or early are said; where no weight moves, as at joint 1, nothing can be told."""
+    record, _ = sweeps([0, 1, 2, 3], 4)
+    right = identify_sliding([record], arm)
+    assert right.alarms == ()
+    assert math.isnan(right.scales["joint_1"])
+    assert right.scales["joint_2"] == pytest.approx(1.0, abs=0.02)
+    early = np.roll(record.torque, -60, axis=0)
+    wrong = ((1e3, r"is 1e\+03, .* times what"), (0.011, r"is 0\.011, .* times what"), (early, "torques by -[67]. ms"))
+    for change, text in wrong:
+        torque = change if change is early else change * record.torque
+        (alarm,) = identify_sliding([dataclasses.replace(record, torque=torque)], arm).alarms
+        assert re.search(text, alarm)
 
 
 @pytest.mark.parametrize("common", [0.0, 1e-3])
