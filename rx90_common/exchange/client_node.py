@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import rclpy
 from rcl_interfaces.msg import Log
-from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import Executor, SingleThreadedExecutor
@@ -192,19 +191,6 @@ def spoken(service: str) -> Callable[[Any], str]:
         return str(answer.message)
 
     return read
-
-
-def text_parameter(client: ClientNode, node: str, name: str) -> str:
-    """Return a parameter of a node that is a text; empty where there is no such node, or parameter.
-
-    Raises:
-        ExchangeError: if the node does not answer within the client's timeout.
-    """
-    service = client.node.resolve_service_name(f"{node}/get_parameters")
-    if service not in dict(client.node.get_service_names_and_types()):
-        return ""
-    (found,) = client.call(GetParameters, service, GetParameters.Request(names=[name])).values
-    return str(found.string_value)
 
 
 def subscribe_log(client: ClientNode, nodes: Sequence[str], heard: Callable[[str, str, bool], None]) -> None:
