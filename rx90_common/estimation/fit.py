@@ -220,7 +220,8 @@ class Projected:
             jacobian = jacobian[:, shown]
             size = _lengths(jacobian)
             value = jacobian @ x[shown] - self.residual(x)
-            step = lsq_linear(jacobian / size, value, (lower[shown] * size, upper[shown] * size))
+            with np.errstate(invalid="ignore"):  # SciPy's way to bounds at infinity
+                step = lsq_linear(jacobian / size, value, (lower[shown] * size, upper[shown] * size))
             if step.cost < least:
                 least = float(step.cost)
                 best = x.copy()

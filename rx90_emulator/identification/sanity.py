@@ -179,7 +179,7 @@ class _SimplestModel:
     @property
     def parameters(self) -> int:
         """Return how many it has."""
-        return int(self._basis.shape[1] + self._dry.shape[1])
+        return len(self._basis.T) + len(self._dry.T)
 
     def residual(self, torque: Array) -> Array:
         """Return what a fit leaves of a torque, (m, n), in usual torques of the joints, shape (r,)."""
@@ -377,12 +377,12 @@ def torque_scales(arm: RigidArm, recorded: Recorded) -> dict[str, float]:
         beside = np.hstack([np.ones((len(rows), 1)), np.sign(inputs), inputs])
         both = np.column_stack([described[rows, joint], recorded.torque[rows, joint]])
         needed, given = (both - beside @ np.linalg.lstsq(beside, both, rcond=None)[0]).T
-        size = float(needed @ needed) + 1e-12
-        scale = float(needed @ given) / size
+        size = needed @ needed + 1e-12
+        scale = needed @ given / size
         errors = np.bincount(recorded.block[rows], needed * (given - scale * needed))
-        told = _CLEAR_SE * float(np.linalg.norm(errors)) / size < _TOLD_SHARE * abs(scale)
-        many = len(rows) > _ROWS_PER_PARAMETER * (1 + beside.shape[1])
-        scales[name] = scale if told and many and size > 1e-9 else math.nan
+        told = _CLEAR_SE * np.linalg.norm(errors) / size < _TOLD_SHARE * abs(scale)
+        many = len(rows) > _ROWS_PER_PARAMETER * len(beside.T)
+        scales[name] = scale if told and many else math.nan
     return scales
 
 

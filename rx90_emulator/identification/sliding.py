@@ -104,9 +104,12 @@ def identify_sliding(
     where_of = zip(laws, places(laws), strict=True)
     untold = [_untold(law, result.x[place], spread, place) for law, place in where_of]
     if any(untold):
-        laws = [replace(law, balanced=law.balanced or alone) for law, alone in zip(laws, untold, strict=True)]
-        result = fit_laws(rows.friction, laws, result.weight)
-        spread = deviations(result)
+        even = [replace(law, balanced=law.balanced or alone) for law, alone in zip(laws, untold, strict=True)]
+        other = fit_laws(rows.friction, even, result.weight, fitted_values(laws, result.x))
+        if other.at_bound.sum() <= result.at_bound.sum():  # else the data contradict, and the deviations say the rest
+            laws = even
+            result = other
+            spread = deviations(result)
     sources = tuple(record.bag for record in records)
     estimates = [ElementEstimate.unknown(name, SLIDING, lacking.get(name, ""), sources) for name in names]
     curves: list[FrictionCurve | None] = [None] * len(names)

@@ -117,8 +117,7 @@ def _later_means(record: JointRecord, plateau: Plateau, sums: Array) -> Array:
     rows = plateau.rows
     lag = np.clip(np.round(LAGS / record.period), -rows.start, len(record.time) - rows.stop).astype(np.intp)
     begin, end = plateau.blocks.T
-    total = sums[end + lag[:, None]] - sums[begin + lag[:, None]]
-    return np.asarray(total / (end - begin)[:, None])
+    return np.asarray((sums[end + lag[:, None]] - sums[begin + lag[:, None]]) / (end - begin)[:, None])
 
 
 @dataclass(frozen=True, eq=False)

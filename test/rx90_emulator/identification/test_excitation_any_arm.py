@@ -83,7 +83,7 @@ def test_a_motion_keeps_the_limits_of_the_urdf(urdf: Path, motions: Path, name: 
     ]
     shares.append(np.abs(np.array(torque) / model.effortLimit[:7]))
     assert np.max(shares) <= SHARE * 1.001
-    assert np.max(shares) > 0.3
+    assert np.max(shares) > (0.7 if name == "excitation_1" else 0.4)  # the validation is not optimised
     home = 0.5 * (low + high)
     np.testing.assert_allclose(
         knots[[0, -1]], np.stack([home, np.zeros(7), np.zeros(7)])[None].repeat(2, 0), atol=1e-12

@@ -68,7 +68,7 @@ def test_a_run_keeps_every_limit(plan: tuple[Experiment, ...], motion: tuple[Arr
     assert np.all(np.abs(velocity @ turns.T) <= 0.8 * robot.max_velocity)
     assert np.all(np.abs(acceleration) <= 0.8 * controller.max_acceleration)
     # Some joint comes near to a limit: the motion is not safe by being small.
-    assert np.abs(position / robot.upper).max() > 0.6
+    assert np.abs(acceleration / controller.max_acceleration).max() > 0.75
     most = np.abs(drives.gear) * drives.peak_torque
     data, shares = robot.model.createData(), []
     for q, v, a in zip(*(one[::20] for one in motion), strict=True):
@@ -108,7 +108,7 @@ def test_every_shape_stays_away_from_table_and_wall(
     reported = [min(nearest.get(f"{link} to {wall.name}", np.inf) for link in links) for wall in OPTIONS.walls]
     assert min(least) >= OPTIONS.clearance
     assert np.all(np.array(least) - reported < 2e-3)
-    assert np.all(np.array(least) - reported > -1e-5)
+    assert np.all(np.array(least) - reported > -1e-9)
 
 
 def _joint_of(frame: Any) -> int:
@@ -164,7 +164,7 @@ def test_a_motion_too_fast_for_motor_6_is_scaled(tx40: Setup) -> None:
         velocity = search.motion(shrunk, search.basis(np.arange(0.0, 6.0, 1e-3)))[1]
         assert np.abs(velocity[:, 4] + velocity[:, 5]).max() <= top[5] * 1.001
     expected = top[5] / (0.95 * (top[4] + top[5]))
-    assert kept == pytest.approx({"5": 1.0, "6": 1.0, "against": 1.0, "together": expected}, rel=0.06)
+    assert kept == pytest.approx({"5": 1.0, "6": 1.0, "against": 1.0, "together": expected}, rel=0.04)
 
 
 def test_an_optimised_run_tells_more_than_random_ones(shipped: Setup) -> None:
@@ -203,8 +203,8 @@ def test_the_search_goes_by_the_right_derivative(shipped: Setup) -> None:
     direction = rng.normal(size=x.size)
     value, slope = search.cost(x)
     assert value > 10.0  # limits are exceeded
-    difference = (search.cost(x + 1e-6 * direction)[0] - search.cost(x - 1e-6 * direction)[0]) / 2e-6
-    assert slope @ direction == pytest.approx(difference, rel=0.03)
+    difference = (search.cost(x + 1e-4 * direction)[0] - search.cost(x - 1e-4 * direction)[0]) / 2e-4
+    assert slope @ direction == pytest.approx(difference, rel=2e-3)
 
 
 def test_the_same_seed_gives_the_same_plan_and_another_one_another(tx40: Setup) -> None:
