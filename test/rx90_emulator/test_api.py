@@ -15,12 +15,12 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import full_friction
 import numpy as np
 import pytest
 
 import rx90_emulator as rx
 from rx90_common.base.share import config_path
-from rx90_common.friction.parts.temperature import TemperaturePart
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs/tutorials/python.md"
@@ -168,16 +168,8 @@ def test_the_api_warns_of_what_rx90_run_announces(tmp_path: Path) -> None:
 
     A constant c1 of 100 Nm s/rad on 25 Nm is passive below 4 tau_c / c1 = 1 rad/s; 0.01 J/K warm at once.
     """
-    warm = TemperaturePart(
-        reference=40.0,
-        lowest=20.0,
-        highest=41.0,
-        start=41.0,
-        ambient=41.0,
-        capacity=0.01,
-        resistance=1e3,
-        viscous_scale=20.0,
-    )
+    hot = dict.fromkeys(("highest", "start", "ambient"), 41.0)
+    warm = full_friction.PARTS["temperature"].replaced(capacity=0.01, resistance=1e3, **hot)
     setup = rx.load_setup(rates=rx.Rates(temperature_hz=10))
     first, *others = setup.friction.elements
     elements = (first.replaced(omega_d=math.inf, temperature=warm), *others)

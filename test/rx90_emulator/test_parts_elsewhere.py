@@ -6,36 +6,20 @@ from collections.abc import Callable
 from pathlib import Path
 from shutil import copytree
 
+import full_friction
 import numpy as np
 import pytest
 
 import rx90_emulator as rx
 from rx90_common.base.errors import REFUSED, Rx90Error
 from rx90_common.base.share import config_path
-from rx90_common.friction.parts.load import LoadPart
-from rx90_common.friction.parts.scatter import ScatterPart
-from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_emulator.cli.frame import run
 from rx90_emulator.configuration.origins import OF_CODE, file_values
 from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.loop.setup import Setup
 
-PARTS = {
-    "load": LoadPart(driving=0.05, driven=0.1),
-    "temperature": TemperaturePart(
-        reference=40.0,
-        lowest=20.0,
-        highest=90.0,
-        start=30.0,
-        ambient=25.0,
-        capacity=9000.0,
-        resistance=0.4,
-        viscous_scale=20.7,
-        viscous_floor=0.3,
-    ),
-    "scatter": ScatterPart(deviation=0.05, correlation_time=0.2),
-}
+PARTS = {name: full_friction.PARTS[name] for name in ("load", "temperature", "scatter")}
 
 
 @pytest.fixture

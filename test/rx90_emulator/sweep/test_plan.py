@@ -72,22 +72,6 @@ def test_quantiles(distribution: Distribution, oracle: Any) -> None:
         assert isinstance(distribution, Normal) or distribution.low <= value <= distribution.high
 
 
-@pytest.mark.parametrize(
-    ("build", "said"),
-    [
-        (lambda: Values(()), "empty"),
-        (lambda: Values.geomspace(0.0, 1.0, 3), "both > 0"),
-        (lambda: LogUniform(0.0, 2.0), "lower bound > 0"),
-        (lambda: Normal(1.0, 0.1, low=2.0), "leave"),
-    ],
-)
-def test_spaces_without_sense_are_refused(build: Any, said: str) -> None:
-    """A list or distribution without sense is refused with the value and what is accepted."""
-    with pytest.raises(ConfigError, match=said) as error:
-        build()
-    assert "accepted" in str(error.value)
-
-
 def written(folder: Path, text: str) -> Path:
     """Write a plan, and the line it may name beside it."""
     shutil.copy(config_path("robots/rx90b/task.yaml"), folder / "line.yaml")
@@ -158,6 +142,9 @@ def test_shipped_and_documented_plans_fit(
         ("{grid: {x: {paths: [task.speed, 'task.end[0]'], value: [1]}}}", "different units"),
         ("{random: {task.speed: {value: {uniform: [2, 1]}}}, draws: 1}", "bounds are 2 and 1"),
         ("{grid: {task.speed: {value: [1]}}, draws: 4}", "without random parameters"),
+        ("{grid: {task.speed: {value: {geomspace: [0, 1, 3]}}}}", "geomspace from 0 to 1; accepted: both > 0"),
+        ("{random: {task.speed: {value: {loguniform: [0, 2]}}}, draws: 1}", "accepted: a lower bound > 0"),
+        ("{random: {task.speed: {value: {normal: {mean: 1, deviation: 0.1, low: 2}}}}, draws: 1}", "; accepted: at"),
     ],
 )  # fmt: skip
 def test_bad_plans_get_one_line(tmp_path: Path, block: str, said: str) -> None:
