@@ -60,14 +60,14 @@ def test_the_runs_of_one_joint_tell_that_joint_alone(
 
 
 def short_series(setup: Setup) -> list[Experiment]:
-    """Return sweeps of one joint, much less than --quick: joint 4, five speeds, 14 s; and one that is too long."""
+    """Return sweeps of one joint, much less than --quick: joint 4, seven speeds, 18 s; and one that is too long."""
     names, fourth = setup.robot.joint_names, np.eye(6)[3]
     cycle, slide, long = (Motion(np.zeros(6)) for _ in range(3))
     cycle.sweep(fourth, 0.05, 0.3, 6.0)
     cycle.oscillate(fourth, [2e-3], [1.0], 2.0)
     cycle.oscillate(fourth, [1e-5] * 4, [3.0, 8.0, 14.0, 22.0], 2.0)
     cycle.move(np.zeros(6), np.ones(6), 5.0)
-    for speed in np.geomspace(0.041, 1.6, 5):
+    for speed in np.geomspace(0.041, 1.6, 7):
         slide.sweep(fourth, speed, 0.7, 6.0)
         slide.sweep(fourth, -speed, 0.7, 6.0)
     long.sweep(fourth, 1e-3, 400.0, 6.0)
