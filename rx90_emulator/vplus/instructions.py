@@ -289,8 +289,7 @@ def _set_parameter(task: Task, value: Value, name: str) -> None:
 
 
 def _show(task: Task, *items: Value) -> None:
-    text, ends = written(task, items)
-    task.cell.show(text, task.cell.time, ends)
+    task.cell.write(*written(task, items))
 
 
 def _ask(task: Task, question: str, *targets: Cell) -> Waits:
