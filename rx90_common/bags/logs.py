@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from array import array
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -32,7 +33,7 @@ _LAST_NS: Final = 2**31 * NANOSECONDS  # stamps of ROS end there
 _LARGEST: Final = 1e9  # rad, rad/s, Nm or A: beyond any joint, while a damaged number may be as large
 _NUMBER_BYTES = 8
 _LOOKED_AT = 200  # lines, by which delimiter, decimal sign and header are found out
-_COMMENTS = ("#", "%")
+_TOLD = 20  # corrupt lines
 _DECIMAL_COMMA = re.compile(r'(^|;)[\s"]*[+-]?\d*,\d+[\s"]*(;|$)')
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
 _NUMBER_OR_NONE = r"^[+-]?((?i:nan|inf|infinity)|(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?)$"
@@ -62,7 +63,7 @@ class _Table:
         self.count = len(next(iter(columns.values()), ()))
         self.lines = np.arange(1, self.count + 1) if lines is None else lines
         self.accepted: _Flags = np.ones(self.count, dtype=np.bool_)
-        self.torn: list[int] = []  # lines that are no row
+        self.torn: Int64Array = np.empty(0, np.int64)  # lines that are no row
         self.faults: dict[int, str] = {}
 
     def accept(self, column: int | str, accepted: _Flags, words: str) -> None:
@@ -79,11 +80,13 @@ class _Table:
     @property
     def corrupt(self) -> str:
         """Return which rows are corrupt, and why the first is."""
-        lines = sorted([*self.torn, *self.lines[~self.accepted].tolist()])
-        if not lines:
+        lines = np.sort(np.append(self.torn, self.lines[~self.accepted]))
+        if not len(lines):
             return ""
         first = min(self.faults)
-        return f"{counted(len(lines), 'corrupt row')}, line {listed(lines)} (line {first}: {self.faults[first]})"
+        more = f" and {len(lines) - _TOLD:,} more" if len(lines) > _TOLD else ""
+        told = f"line {listed(lines[:_TOLD].tolist())}{more}"
+        return f"{counted(len(lines), 'corrupt row')}, {told} (line {first}: {self.faults[first]})"
 
 
 def read_log(path: Path, mapping: LogMapping | None = None, *, skip_corrupt: bool = False) -> ReadLog:
@@ -206,23 +209,29 @@ def _parquet_columns(path: Path, mapping: LogMapping) -> _Table:
     return _Table({column: file.read([column])[column].to_numpy() for column in mapping.columns})
 
 
-def _text_columns(path: Path, mapping: LogMapping) -> _Table:
-    """Return columns of texts: what is no number is told by row."""
+def _lines_of(path: Path) -> tuple[pa.StringArray, Int64Array, list[str]]:
+    """Return the lines of a text that are rows or names, their numbers, and the comments.
+
+    None is an object of Python, which takes many times its bytes.
+    """
     # Bytes of a damaged log that are no text make a corrupt row, not an unreadable file.
     text = path.read_text("utf-8-sig", errors="replace").replace("\0", "\ufffd")
-    comments: list[str] = []
-    lines: list[str] = []
-    numbers: list[int] = []
-    for number, line in enumerate(text.splitlines(), 1):
-        if line.lstrip().startswith(_COMMENTS):
-            comments.append(line.lstrip("#% \t"))
-        elif line.strip():
-            lines.append(line)
-            numbers.append(number)
-    delimiter, decimal = _dialect(lines[:_LOOKED_AT], mapping)
+    lines = pc.split_pattern(pa.array([text]), "\n").flatten()
+    del text
+    is_row = pc.match_substring_regex(lines, r"^\s*[^\s#%]")
+    is_comment = pc.match_substring_regex(lines, r"^\s*[#%]")
+    comments = [line.lstrip("#% \t") for line in lines.filter(is_comment)[:_LOOKED_AT].to_pylist()]
+    return lines.filter(is_row), np.flatnonzero(is_row.to_numpy(zero_copy_only=False)) + 1, comments
+
+
+def _text_columns(path: Path, mapping: LogMapping) -> _Table:
+    """Return columns of texts: what is no number is told by row."""
+    lines, numbers, comments = _lines_of(path)
+    looked_at = lines[:_LOOKED_AT].to_pylist()
+    delimiter, decimal = _dialect(looked_at, mapping)
     if delimiter == " ":
-        lines = [" ".join(line.split()) for line in lines]
-    beginning = [_split(line, delimiter) for line in lines[:_LOOKED_AT]]
+        lines = pc.utf8_trim_whitespace(pc.replace_substring_regex(lines, r"\s+", " "))
+    beginning = [_split(" ".join(line.split()) if delimiter == " " else line, delimiter) for line in looked_at]
     head = mapping.header
     if head is None:  # the lines before the first one that holds a number
         head = next((k for k, row in enumerate(beginning) if _has_number(row, decimal)), len(beginning))
@@ -233,19 +242,26 @@ def _text_columns(path: Path, mapping: LogMapping) -> _Table:
         raise BagError("holds no row of numbers; accepted: one or more behind the header")
     width = widths.most_common(1)[0][0]
     # NumPy and Matlab write the names into a comment; rows may end in a delimiter more than their header.
-    named = [*beginning[:head], *(_split(line, delimiter) for line in comments[:_LOOKED_AT])]
+    named = [*beginning[:head], *(_split(line, delimiter) for line in comments)]
     header = next((names for count in (width, width - 1) for names in named if len(names) == count), [])
     _check_names(mapping, [*header, *range(1, width + 1)])
     places = {column: column - 1 if isinstance(column, int) else header.index(column) for column in mapping.columns}
-    torn: dict[int, str] = {}
+    torn = array("q")
+    faults: dict[int, str] = {}
 
     def note_torn(row: pa_csv.InvalidRow) -> str:
-        torn[row.number - 1] = f"{counted(row.actual_columns, 'field')}, others have {width}"
+        if not torn:
+            faults[int(numbers[head + row.number - 1])] = f"{counted(row.actual_columns, 'field')}, others have {width}"
+        torn.append(head + row.number - 1)
         return "skip"
 
+    rows = pa.ListArray.from_arrays([0, len(lines) - head], lines[head:])
+    whole = pc.binary_join(rows, "\n")[0].as_buffer()
+    count = len(lines) - head
+    del rows, lines
     try:
         table = pa_csv.read_csv(
-            pa.BufferReader("\n".join(lines[head:]).encode()),
+            pa.BufferReader(whole),
             pa_csv.ReadOptions(use_threads=False, column_names=list(map(str, range(width)))),
             pa_csv.ParseOptions(delimiter=delimiter, invalid_row_handler=note_torn),
             pa_csv.ConvertOptions(
@@ -255,13 +271,12 @@ def _text_columns(path: Path, mapping: LogMapping) -> _Table:
         )
     except pa.ArrowInvalid as error:
         raise BagError(f"{plain(error, 300)}; accepted: columns as in the signal map") from error
-    if table.num_rows + len(torn) != len(lines) - head:
+    if table.num_rows + len(torn) != count:
         raise BagError("a quotation mark without a second one in its line; accepted: pairs of them")
-    kept = np.delete(np.array(numbers[head:], dtype=np.int64), list(torn))
     columns = {column: pc.utf8_trim_whitespace(table[str(place)]) for column, place in places.items()}
-    result = _Table(columns, decimal, kept)
-    result.torn = [numbers[head + row] for row in torn]
-    result.faults = {numbers[head + row]: fault for row, fault in list(torn.items())[:1]}
+    result = _Table(columns, decimal, np.delete(numbers, torn)[head:])
+    result.torn = numbers[torn]
+    result.faults = faults
     return result
 
 
@@ -306,7 +321,8 @@ def _stamps_ns(table: _Table, mapping: LogMapping) -> Int64Array:
             stamps = np.rint(times * float(unit_ns)).astype(np.int64)
         stamps[~inside] = -1
     else:
-        stamps = np.array([_stamp_ns(cell, table.decimal, unit_ns) for cell in cells.to_pylist()], dtype=np.int64)
+        texts = (cell for part in cells.chunks for cell in part.to_pylist())
+        stamps = np.fromiter((_stamp_ns(cell, table.decimal, unit_ns) for cell in texts), np.int64, table.count)
     table.accept(time.column, stamps >= 0, f"times of 0 to {_LAST_NS // NANOSECONDS} s, or ISO 8601")
     return np.asarray(stamps, dtype=np.int64)
 
@@ -317,7 +333,7 @@ def _stamp_ns(cell: str, decimal: str, unit_ns: int) -> int:
     if re.fullmatch(r"[0-9.,eE+-]+", cell):
         with suppress(DecimalException):
             stamp = Decimal(cell.replace(decimal, ".")) * unit_ns  # floating point spoils ns of the wall clock
-    else:
+    elif re.match(r"\d{4}-\d", cell):
         for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):
             with suppress(pa.ArrowInvalid):
                 stamp = pa.scalar(cell.replace(",", ".")).cast(kind).value

@@ -22,7 +22,6 @@ _DEEPEST = 64
 _LONGEST_INTEGER = 400  # characters; the largest finite number has 309 digits
 _IN_FILE = re.compile(r',? in "<file>", ')
 _LONGEST_REASON = 400
-_SCHEMA_LINE = "# yaml-language-server: $schema="
 
 
 class _Loader(yaml.composer.Composer, yaml.CSafeLoader):
@@ -178,11 +177,6 @@ def _read(path: Path) -> str:
         what = f"has {separators:,} commas and line ends"
         raise ConfigError(f"{plain(path)}: {what}; accepted: up to {_MAX_VALUES:,}, and as many values")
     return text
-
-
-def without_schema_line(text: str) -> str:
-    """Return a file's text without the line that names its JSON schema for editors, by a path from its own folder."""
-    return "".join(line for line in text.splitlines(keepends=True) if not line.startswith(_SCHEMA_LINE))
 
 
 def check_numbers(content: object, most: float = math.inf, where: str = "") -> None:

@@ -51,6 +51,7 @@ _NO_KIND: Final = "union_tag_not_found"
 _MISSING: Final = {"missing", _NO_KIND}
 _MAX_FAULTS: Final = 20
 """That are told at most."""
+_SIGNS: Final = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
 _NULL: Final = {"type": "null"}
 _OF_ALL_KINDS: Final[tuple[str, ...]] = ("accepted", "description", "unit", "default", "discriminator")
 """What a schema says of all kinds of value that it accepts."""
@@ -413,19 +414,13 @@ def accepted_values(schema: JsonSchema, root: JsonSchema | None = None) -> str:
 
 
 def _range_in_words(noun: str, schema: JsonSchema) -> str:
-    above = schema.get("exclusiveMinimum")
-    least = schema.get("minimum", above)
-    below = schema.get("exclusiveMaximum")
-    most = schema.get("maximum", below)
-    if least is None and most is None:
+    ends = {sign: _number_text(schema[key]) for key, sign in _SIGNS.items() if key in schema}
+    if not ends:
         return "an integer" if noun == "an integer" else "a finite number"
-    if most is None:
-        return f"{noun} {'>=' if above is None else '>'} {_number_text(least)}"
-    if least is None:
-        return f"{noun} {'<=' if below is None else '<'} {_number_text(most)}"
-    opening = "[" if above is None else "("
-    closing = "]" if below is None else ")"
-    return f"{noun} in {opening}{_number_text(least)}, {_number_text(most)}{closing}"
+    if len(ends) == 1:
+        return f"{noun} {' '.join(*ends.items())}"
+    low, high = ends.values()
+    return f"{noun} in {'[' if '>=' in ends else '('}{low}, {high}{']' if '<=' in ends else ')'}"
 
 
 def _number_text(number: float | None) -> str:

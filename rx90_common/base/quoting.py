@@ -115,11 +115,10 @@ class _Repr(reprlib.Repr):
         digits = int(abs(x).bit_length() * math.log10(2.0)) + 1
         return repr(x) if digits <= _LONGEST_INTEGER else f"an integer of some {digits:,} digits"
 
-    def repr_str(self, x: str, level: int) -> str:  # noqa: ARG002
+    def repr_str(self, x: Any, level: int) -> str:  # noqa: ARG002
         return quoted(x, self.maxstring)
 
-    def repr_bytes(self, x: Any, level: int) -> str:  # noqa: ARG002
-        return quoted(x, self.maxstring)
+    repr_bytes = repr_str
 
 
 def breaks_a_line(text: str) -> bool:

@@ -15,7 +15,6 @@ import numpy as np
 
 from rx90_common.bags.mapping import MESSAGE_KEYS, LogMapping, is_table, mapping_of
 from rx90_common.bags.reading import BagReader
-from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, IdentificationError
@@ -29,6 +28,7 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile, refuse_parts
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.options import SHIPPED_ROBOT, MeasuredLayout, RobotOptions
+from rx90_emulator.loop.recorded_setup import check_robot
 from rx90_emulator.loop.setup import Setup
 
 JOINT_STATES = "joint_states"

@@ -11,7 +11,7 @@ import numpy as np
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
-from rx90_common.bags.recorded import check_robot, read_changes, read_trajectories, read_values
+from rx90_common.bags.recorded import read_trajectories
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, check_type, located
 from rx90_common.base.quoting import plain, quoted
@@ -21,6 +21,7 @@ from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.trajectory.points import points_from_message
 from rx90_controller.trajectory.request import GoalOptions
 from rx90_emulator.loop.closed_loop import simulate_commands
+from rx90_emulator.loop.recorded_setup import check_robot, read_changes, read_values
 from rx90_emulator.loop.result import MotionCommand, RunResult
 from rx90_emulator.loop.setup import Setup
 

@@ -14,7 +14,6 @@ from scipy.interpolate import BPoly, BSpline, make_interp_spline
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.reading import read_joint_states
-from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import MAX_JOINTS, Array
 from rx90_common.base.errors import ConfigError, IdentificationError, TrajectoryError, check_type
@@ -47,6 +46,7 @@ from rx90_emulator.identification.rows.filtering import (
 from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest
 from rx90_emulator.loop.closed_loop import run_setpoints
 from rx90_emulator.loop.line import PathAccuracy, followed_accuracy
+from rx90_emulator.loop.recorded_setup import check_robot
 from rx90_emulator.loop.result import FastSeries, SlowSeries, empty_series
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.measured_runs.options import MeasuredTolerances

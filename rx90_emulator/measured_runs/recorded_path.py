@@ -9,7 +9,6 @@ import numpy as np
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import LogMapping, is_table
 from rx90_common.bags.reading import read_joint_bag
-from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Mask
 from rx90_common.base.errors import BagError
@@ -22,6 +21,7 @@ from rx90_common.exchange.topics import MOTOR_STATES, SAMPLED
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.identification.robot import JOINT_STATES, arm_layout, recorded_topic, topic_names, with_signals
 from rx90_emulator.loop.line import PathAccuracy, followed_accuracy
+from rx90_emulator.loop.recorded_setup import check_robot
 
 _SET_POINTS = "reference"
 _GAP = 3.5  # times the median interval: where more than two set-points in a row are missing, nothing counts

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
-import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import compress, pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,9 +14,6 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos
-from rosbags.interfaces.typing import Typesdict
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
 from rx90_common.bags.joint_series import Int64Array
 from rx90_common.bags.ordering import HEADER_STAMP, LIST_STAMP, Arrived, Source
@@ -27,8 +21,8 @@ from rx90_common.bags.topics import CLOCK, JOINT_STATE, TRANSFORMS, reports_chan
 from rx90_common.bags.writing import offered_qos
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
-from rx90_common.base.requirements import missing_module
 from rx90_common.exchange.arrivals import ReceiveBatching
+from rx90_common.exchange.message_types import message_class, types_with
 from rx90_common.exchange.ros_start import reason
 
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
@@ -279,42 +273,3 @@ class Stream:
 def _total(event: Any) -> int:
     with event:
         return int(event.take_event().total_count)
-
-
-def message_class(topic: str, msgtype: str) -> Any:
-    """Return the class of a message type."""
-    package, _, name = msgtype.split("/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
-    except ImportError as error:
-        raise BagError(f"{topic} has type {msgtype}: {missing_module(error) or error}") from error
-    except AttributeError as error:
-        raise BagError(f"{topic} has type {msgtype}, which the {package} that is installed does not have") from error
-
-
-def types_with(msgtype: str, known: Stores = Stores.ROS2_JAZZY) -> Typestore:
-    """Return known types, and with them a type and its parts, as its package defines them.
-
-    Raises:
-        BagError: if an installed package has no such definition.
-    """
-    types = get_typestore(known)
-    added: Typesdict = {}
-    wanted = [msgtype]
-    while wanted:
-        name = wanted.pop()
-        if name not in types.fielddefs and name not in added:
-            added |= get_types_from_msg(_definition(name), name)
-            wanted += re.findall(r"\w+/msg/\w+", str(added[name]))  # its parts
-    types.register(added)
-    return types
-
-
-def _definition(msgtype: str) -> str:
-    """Return the text of a type's .msg file, which lies in the `share` folder beside the package's classes."""
-    package, folder, name = msgtype.split("/")
-    place = Path("share", package, folder, f"{name}.msg")
-    for parent in Path(str(importlib.import_module(package).__file__)).parents:
-        if (parent / place).exists():
-            return (parent / place).read_text(encoding="utf-8")
-    raise BagError(f"{msgtype}: the package that is installed has no {place}")

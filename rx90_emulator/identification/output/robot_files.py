@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import check_numbers, read_yaml, without_schema_line, yaml_text
+from rx90_common.base.config import check_numbers, read_yaml, yaml_text
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.models import FileModel
 from rx90_common.base.quoting import listed
@@ -250,7 +250,7 @@ def _folder_texts(
     )
     for role, path in unchanged.items():
         if path is not None:
-            texts[FILES[role]] = without_schema_line(path.read_text(encoding="utf-8"))
+            texts[FILES[role]] = _without_schema_line(path.read_text(encoding="utf-8"))
     return texts
 
 
@@ -379,3 +379,10 @@ def _validation(check: Validation) -> dict[str, Any]:
     shares = {name: {"relative": digits(run.total_share)} for name, run in torques.items() if run is not None}
     fitted = {} if check.fitted is None else {"relative": digits(check.fitted.total_share)}
     return {"confirmed": check.passed, **fitted, **shares}
+
+
+def _without_schema_line(text: str) -> str:
+    """Return a file's text without the line that names its JSON schema for editors, by a path from its own folder."""
+    return "".join(
+        line for line in text.splitlines(keepends=True) if not line.startswith("# yaml-language-server: $schema=")
+    )

@@ -30,15 +30,16 @@ from trajectory_msgs.msg import JointTrajectory
 from warm_start import COLD
 
 from rx90_common.bags.reading import BagReader, read_joint_states
-from rx90_common.bags.recorded import read_changes
 from rx90_common.bags.recorder import stream
 from rx90_common.bags.topics import SUITE_TOPICS
 from rx90_common.bags.writing import BagWriter, offered_qos
 from rx90_common.base.errors import BagError
+from rx90_common.exchange import message_types
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.ros_start import prepare
 from rx90_common.process.interrupts import StopRequest
 from rx90_emulator.cli.frame import run
+from rx90_emulator.loop.recorded_setup import read_changes
 
 TIMEOUT_S = 60.0
 TICKS = 2000
@@ -443,4 +444,4 @@ def test_only_an_error_before_the_first_message_leaves_no_bag(tmp_path: Path) ->
 def test_definitions_say_what_the_types_are(name: str) -> None:
     """What the installed package says of a type has the type hash (REP 2016) that Jazzy's own definition has."""
     jazzy = get_typestore(Stores.ROS2_JAZZY)
-    assert stream.types_with(name, Stores.EMPTY).hash_rihs01(name) == jazzy.hash_rihs01(name)
+    assert message_types.types_with(name, Stores.EMPTY).hash_rihs01(name) == jazzy.hash_rihs01(name)

@@ -34,12 +34,12 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 
 from rx90_common.bags import limits
 from rx90_common.bags.reading import BagReader, read_joint_bag, read_joint_states
-from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.storage import MCAP_MAGIC
 from rx90_common.bags.summary import summarise
 from rx90_common.bags.writing import string_message, write_joint_states
 from rx90_common.base.errors import BagError
 from rx90_emulator.cli.frame import run
+from rx90_emulator.loop.recorded_setup import check_robot
 
 STAMPS = list(range(0, 40_000_000, 1_000_000))
 Damage = Callable[[Path], object]

@@ -19,8 +19,8 @@ from ros_client import Client, seconds
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from rx90_common.bags.recorded import read_values
 from rx90_controller.law.parameters import CS7BParameters
+from rx90_emulator.loop.recorded_setup import read_values
 from rx90_emulator.loop.setup import Setup
 
 SIMULATION, CONTROLLER = NODES = ("rx90_sim", "rx90_controller")
