@@ -19,8 +19,8 @@ from needs import give_up
 # reads this once, when it is imported, and so do the processes that tests start.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from rx90_common.base.requirements import missing_module
 from rx90_common.description.robot_files import RobotFiles
+from rx90_common.process.requirements import missing_module
 from rx90_emulator.loop.setup import Setup
 
 # However slow the machine, and with the same examples in each run, so that a failure comes from a change.

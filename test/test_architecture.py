@@ -13,7 +13,7 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 from xml.etree import ElementTree
 
-from rx90_common.base.requirements import SOURCES, is_ros
+from rx90_common.process.requirements import SOURCES, is_ros
 from rx90_emulator.cli.frame import EXECUTABLES
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 from rx90_common.base.errors import ConfigError
@@ -63,17 +64,11 @@ def share_directory() -> Path:
     """
     if (ROOT / "package.xml").is_file() and (ROOT / "config").is_dir():
         return ROOT
-    try:
-        # The models work where no ROS is installed.
-        from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-    except ImportError:
-        pass
-    else:
-        try:
-            return Path(get_package_share_directory(PACKAGE))
-        except (PackageNotFoundError, LookupError, OSError):
-            # OSError: a pip environment does not set AMENT_PREFIX_PATH.
-            pass
+    # The models work where no ROS is installed, and a pip environment does not set AMENT_PREFIX_PATH (OSError).
+    with suppress(ImportError, LookupError, OSError):
+        from ament_index_python.packages import get_package_share_directory
+
+        return Path(get_package_share_directory(PACKAGE))
     prefix = Path(sys.prefix) / "share" / PACKAGE
     if prefix.is_dir():
         return prefix

@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from rx90_common.base.errors import BagError
-from rx90_common.base.requirements import missing_module
+from rx90_common.process.requirements import missing_module
 
 
 def message_class(topic: str, msgtype: str) -> Any:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain, quoted
-from rx90_common.base.requirements import missing_module
 from rx90_common.base.share import config_path
+from rx90_common.process.requirements import missing_module
 
 if TYPE_CHECKING:
     from rclpy.context import Context

@@ -1,1 +1,1 @@
-"""Functions for processes: interrupts, standard output, files, child processes."""
+"""Functions for processes: interrupts, standard output, files, child processes, packages that are missing."""

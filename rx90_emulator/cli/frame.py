@@ -16,7 +16,6 @@ from typing import Any, cast
 
 from rx90_common.base.errors import DISK_ERRORS, DONE, FAILED, INTERRUPTED, REFUSED, ConfigError, Rx90Error, Rx90Warning
 from rx90_common.base.quoting import one_line, plain, quoted
-from rx90_common.base.requirements import missing_module
 from rx90_common.kernels import announce_compilation
 from rx90_common.process.children import end_with_parent
 from rx90_common.process.files import check_output
@@ -26,6 +25,7 @@ from rx90_common.process.interrupts import (
     keep_exit_code,
     terminations_as_interrupts,
 )
+from rx90_common.process.requirements import missing_module
 from rx90_emulator.cli.node import NODES
 
 VERBS = (

@@ -11,9 +11,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from rx90_common.bags.limits import DamagedError, load_arrays
+from rx90_common.bags.limits import load_arrays
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, TrajectoryError, warn_caller
+from rx90_common.base.errors import BagError, ConfigError, TrajectoryError, warn_caller
 from rx90_common.base.models import FileModel, NotNegative, PerJoint, Triple, model_text, quantity, read_model
 from rx90_common.base.quoting import counted, plain
 from rx90_common.process.files import write_all
@@ -192,7 +192,7 @@ def load_correction(name: Path | str) -> CorrectionFile:
             raise KeyError("best is not a file in the archive")
         correction = Correction(np.asarray(arrays["offsets"], dtype=np.float64), head.period, motion)
         best = Correction(np.asarray(arrays["best"], dtype=np.float64), head.period).offsets
-    except (DamagedError, KeyError, ValueError, TrajectoryError) as error:
+    except (BagError, KeyError, ValueError, TrajectoryError) as error:
         raise ConfigError(f"{plain(offsets_file)}: {error}; accepted: the file written with {plain(file)}") from error
     shape = correction.offsets.shape
     trials = len(head.worst), len(head.seen)

@@ -29,7 +29,7 @@ from tqdm import tqdm
 
 from rx90_common.base.errors import ConfigError, FailureError, SweepError
 from rx90_common.base.quoting import one_line, quoted
-from rx90_common.base.requirements import missing_module
+from rx90_common.process.requirements import missing_module
 from rx90_emulator.sweep.store import ResultStore
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 

@@ -16,12 +16,12 @@ from sensor_msgs.msg import JointState
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates, ticks_per
-from rx90_common.base.requirements import missing_module
 from rx90_common.description.kinematics import link_transforms
 from rx90_common.description.robot import RobotModel
 from rx90_common.exchange.cdr import JointStateCodec, TransformCodec
 from rx90_common.exchange.endpoints import CLOCK_QOS, LATCHED_QOS, STATE_QOS, publish, ros_time
 from rx90_common.exchange.topics import MAX_DISPLAY_RTF, SAMPLED, SAMPLED_RATE
+from rx90_common.process.requirements import missing_module
 from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.plant import Plant
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from processes import Start
 
-from rx90_common.base.requirements import SOURCES, is_ros, missing_module
 from rx90_common.base.share import ROOT
+from rx90_common.process.requirements import SOURCES, is_ros, missing_module
 from rx90_emulator.cli.frame import COMMANDS
 
 NODE = """
