@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -32,6 +33,7 @@ MODEL_FILES = ("urdf", "tool", "drives", "friction", "controller")
 
 NO_TOOL = "none"
 _OPTIONAL = ("tool", "task", "poses")
+_SCHEMA_LINE = r"(?m)^# yaml-language-server: \$schema=.*\n"
 
 DESCRIPTIONS = {
     "urdf": "URDF of the arm",
@@ -134,6 +136,15 @@ class RobotFiles:
         if path is None:
             raise ConfigError(f"{self.urdf.parent}: no {FILES[role]}; accepted: a {role} file, in the folder or named")
         return path
+
+    def optional_texts(self) -> dict[str, str]:
+        """Return tool, task and poses, where they are there, by the names of these files, for another robot folder.
+
+        Without the line that names a JSON schema for editors: its path begins at the file's own folder.
+        """
+        paths = {"tool": self.tool, "task": self.task, "poses": self.poses}
+        texts = {FILES[role]: path.read_text(encoding="utf-8") for role, path in paths.items() if path is not None}
+        return {name: re.sub(_SCHEMA_LINE, "", text) for name, text in texts.items()}
 
     def text(self, role: str) -> str:
         """Return the name of a file: its path below config/ if it is there, "none" for no tool."""

@@ -272,11 +272,10 @@ class _Trials:
         whole = rows > 0.5 * rows.mean()
         now = np.bincount(self._block, (self.residual / errors) ** 2)[whole] + 1e-9
         then = np.bincount(self._block, (residual / errors) ** 2)[whole] + 1e-9
-        clear = False
-        for fall in (now - then, np.log(now / then)):
-            clear |= float(np.mean(fall)) > _CLEAR_SE * float(np.std(fall)) / math.sqrt(len(fall))
-        gain = float(np.sum((self.residual**2 - residual**2) / errors**2))
-        return clear and gain > _MIN_GAIN * len(residual)
+        falls = np.array([now - then, np.log(now / then)])
+        clear = falls.mean(axis=1) > _CLEAR_SE * falls.std(axis=1) / math.sqrt(len(now))
+        gain = np.sum((self.residual**2 - residual**2) / errors**2)
+        return bool(clear.any() and gain > _MIN_GAIN * len(residual))
 
     def _fitted(self, motion: Array) -> _SimplestModel:
         return _SimplestModel(self._arm, motion, self._used, self._size)

@@ -245,13 +245,8 @@ def _folder_texts(
         FILES["drives"]: _DRIVES_HEAD + yaml_text(drives),
         FILES["controller"]: _CONTROLLER_HEAD + yaml_text(controller),
     }
-    unchanged = (
-        {} if base.files is None else {"tool": base.files.tool, "task": base.files.task, "poses": base.files.poses}
-    )
-    for role, path in unchanged.items():
-        if path is not None:
-            texts[FILES[role]] = _without_schema_line(path.read_text(encoding="utf-8"))
-    return texts
+    unchanged = {} if base.files is None else base.files.optional_texts()
+    return texts | unchanged
 
 
 def _drive_values(result: ExcitationIdentification) -> dict[tuple[str, str], Identified]:
@@ -379,10 +374,3 @@ def _validation(check: Validation) -> dict[str, Any]:
     shares = {name: {"relative": digits(run.total_share)} for name, run in torques.items() if run is not None}
     fitted = {} if check.fitted is None else {"relative": digits(check.fitted.total_share)}
     return {"confirmed": check.passed, **fitted, **shares}
-
-
-def _without_schema_line(text: str) -> str:
-    """Return a file's text without the line that names its JSON schema for editors, by a path from its own folder."""
-    return "".join(
-        line for line in text.splitlines(keepends=True) if not line.startswith("# yaml-language-server: $schema=")
-    )
