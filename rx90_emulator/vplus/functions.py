@@ -95,17 +95,6 @@ def _in_range(task: Task, target: Array | Joints) -> int:
     return sum(1 << joint for joint in outside)
 
 
-def _bit_sum(truths: Iterable[bool]) -> int:
-    return sum(1 << bit for bit, truth in enumerate(truths) if truth)
-
-
-def _configuration(task: Task) -> int:
-    """Return the present configuration as bits: 1 for LEFTY, 2 for BELOW, 4 for FLIP."""
-    posture = task.arm.posture(task.cell.drive.position())
-    lefty = posture.shoulder == "back"
-    return _bit_sum([lefty, (posture.elbow == "positive") == lefty, posture.wrist == "negative"])
-
-
 def _last(task: Task, array: Tree) -> int:
     """Return the highest index in use of an array, -1 for one without elements."""
     cells = task.table(array).items()
@@ -154,15 +143,12 @@ FRACT  real
 SIGN  real
 MIN  real real*
 MAX  real real*
-OUTSIDE  real real real
 LEN  text
 ASC  text integer?
 POS  text text integer?
 VAL  text
-STRDIF  text text
 $CHR  integer
 $MID  text integer integer
-$TRUNCATE  text
 $DECODE  variable text real?
 $ERROR  integer
 TRANS  real? real? real? real? real? real?
@@ -187,16 +173,12 @@ TOOL
 BASE
 HERE
 DEST
-#PHERE
-#PDEST
 TIME
 $ENCODE  any*
 INRANGE  location
-CONFIG  any?
 DEFINED  tree
 LAST  tree
 SIG  integer integer*
-BITS  integer integer?
 TIMER  integer
 SWITCH  name
 SPEED  integer
@@ -239,15 +221,12 @@ _VALUES: Final[dict[str, Any]] = {
     "SIGN": lambda number: 1 if number >= 0.0 else -1,
     "MIN": lambda *numbers: min(numbers),
     "MAX": lambda *numbers: max(numbers),
-    "OUTSIDE": lambda low, number, high: not low <= number <= high,
     "LEN": len,
     "ASC": lambda text, place=1: ord(text[place - 1]) if 1 <= place <= len(text) else -1,
     "POS": lambda text, part, start=1: text.find(part, max(start - 1, 0)) + 1,
     "VAL": number_of,
-    "STRDIF": lambda left, right: (left > right) - (left < right),
     "$CHR": lambda code: bytes([code]).decode("latin-1"),
     "$MID": lambda text, first, count: text[max(first - 1, 0) :][: max(count, 0)],
-    "$TRUNCATE": lambda text: text.partition("\0")[0],
     "$DECODE": _decoded,
     "$ERROR": _error_text,
     "TRANS": trans,
@@ -272,16 +251,12 @@ _STATE: Final[dict[str, Any]] = {
     "BASE": lambda task: task.base,
     "HERE": lambda task: task.tool_at(task.cell.drive.position()),
     "DEST": lambda task: task.tool_at(task.queue.destination),
-    "#PHERE": lambda task: task.arm.joints(task.cell.drive.position()),
-    "#PDEST": lambda task: task.arm.joints(task.queue.destination),
     "TIME": lambda task: task.cell.time,
     "$ENCODE": lambda task, *items: written(task, items)[0],
     "INRANGE": _in_range,
-    "CONFIG": lambda task, _=None: _configuration(task),
     "DEFINED": lambda task, variable: task.cell_of(variable).value is not None,
     "LAST": _last,
     "SIG": lambda task, *signals: all(map(task.cell.is_on, signals)),
-    "BITS": lambda task, first, count=1: _bit_sum(task.cell.is_on(first + bit) for bit in range(min(count, 24))),
     "TIMER": lambda task, number: task.cell.time - task.timers.get(number, 0.0),
     "SWITCH": lambda task, name: name in task.switches,
     "SPEED": _speed,

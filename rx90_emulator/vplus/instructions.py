@@ -38,6 +38,7 @@ EXECUTE ABORT KILL  one task is emulated
 MOVEF MOVESF JMOVE JHERE  they belong to other arms
 MOVET MOVEST  no servo hand is emulated
 REACTE RETURNE LOCK  priorities and routines for errors are not emulated
+BITS RESET  signals are set by SIGNAL
 DEVICE SETDEVICE DDCMP  no devices are emulated
 """
 
@@ -264,10 +265,6 @@ def _wait(task: Task, condition: Tree = None) -> Waits:
         yield from task.until(lambda: task.taken("real", condition) != 0.0, "WAIT")
 
 
-def _set_bits(task: Task, value: int, first: int, count: int = 1) -> None:
-    task.cell.switch(*(bit + first if value >> bit & 1 else -first - bit for bit in range(min(count, 24))))
-
-
 def _set_timer(task: Task, value: float, number: int) -> None:
     task.timers[number] = task.cell.time - value
 
@@ -355,8 +352,6 @@ DURATION  seconds
 OPEN CLOSE RELAX
 OPENI CLOSEI RELAXI
 SIGNAL  integer integer*
-BITS=  integer integer integer?
-RESET
 WAIT  tree?
 WAIT.EVENT  tree? seconds?
 TIMER=  real integer
@@ -408,8 +403,6 @@ _ACTIONS: Final[dict[str, Any]] = {
     "OPEN": _set_hand,
     "OPENI": _set_hand_now,
     "SIGNAL": lambda task, *signals: task.cell.switch(*signals),
-    "BITS=": _set_bits,
-    "RESET": lambda task: task.cell.switch(*(-signal for signal in task.cell.outputs())),
     "WAIT": _wait,
     "WAIT.EVENT": _wait_event,
     "TIMER=": _set_timer,

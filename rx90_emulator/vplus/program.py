@@ -103,9 +103,8 @@ class _Builder(Transformer[Any]):
     def command(self, word: str, arguments: Any, modifiers: Any) -> Line:
         return _line(word, *arguments, modifiers=tuple(map(str.upper, modifiers)))
 
-    def setting(self, word: str, target: Tree, count: Tree, value: Tree) -> Line:
-        targets = [target] if count is None else [target, count]
-        return _line(f"{word}=", value, *targets)
+    def setting(self, word: str, target: Tree, value: Tree) -> Line:
+        return _line(f"{word}=", value, target)
 
     def unit_command(self, word: str, unit: Any, arguments: Any) -> Line:
         return _line(f"{word}()", unit[0], *arguments)
