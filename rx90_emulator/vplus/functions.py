@@ -60,10 +60,7 @@ def _shown(number: Value, style: str) -> str:
     if kind in _CODES:
         shown = format(round(number), width + _CODES[kind])
     else:
-        style = width + (places or ".0") + kind
-        shown = format(number, style)
-        if float(shown) == 0.0:
-            shown = format(0.0, style)  # without a sign
+        shown = format(number, width + (places or ".0") + kind)
     return "*" * int(width) if width and len(shown) > int(width) else shown
 
 
