@@ -86,7 +86,6 @@ class Cell:
         arm: its kinematics and limits.
         queue: its motions.
         changes: of outputs, in their order.
-        lines: what TYPE has shown, with times, s.
         publish: gets the outputs that are on, at the first beat and where they have changed since the last one.
         show: gets what TYPE shows, with its time, s, and whether a line ends behind it.
         ask: asks for a line of text with a question; gives None while there is none.
@@ -100,13 +99,11 @@ class Cell:
         self.queue = MotionQueue(self.arm, drive.start)
         self.period = period
         self.changes: list[Change] = []
-        self.lines: list[tuple[float, str]] = []
         self.publish: Callable[[set[int]], None] = lambda _: None
         self.show: Callable[[str, float, bool], None] = lambda *_: None
         self.ask: Callable[[str], str | None] = input
         self.tolerance = 1.0
         self.beats = 0
-        self._begun = ""
         self._planned = list(inputs)
         self._on: set[int] = set()
         self._published: set[int] | None = None
@@ -134,14 +131,6 @@ class Cell:
             _, signal, on = self._planned.pop(0)
             self._on = self._on | {signal} if on else self._on - {signal}
         self.queue.begin_waiting(self.settled, self.time)
-
-    def write(self, text: str, ends: bool) -> None:
-        """Show a text, and whether a line ends behind it."""
-        self._begun += text
-        if ends:
-            self.lines.append((self.time, self._begun))
-            self._begun = ""
-        self.show(text, self.time, ends)
 
     def receive(self, on: set[int]) -> None:
         """Take the inputs that are on; the others are off."""

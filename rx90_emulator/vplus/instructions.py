@@ -289,7 +289,8 @@ def _set_parameter(task: Task, value: Value, name: str) -> None:
 
 
 def _show(task: Task, *items: Value) -> None:
-    task.cell.write(*written(task, items))
+    text, ends = written(task, items)
+    task.cell.show(text, task.cell.time, ends)
 
 
 def _ask(task: Task, question: str, *targets: Cell) -> Waits:

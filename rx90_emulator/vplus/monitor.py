@@ -246,12 +246,10 @@ def _here(monitor: Monitor, text: str) -> Dialogue:
 
 def _point(monitor: Monitor, text: str) -> Dialogue:
     """Show a location, and store what is typed instead, until an empty line."""
-    name = text.partition("=")[0].strip()
+    name, equals, _ = map(str.strip, text.partition("="))
     maker = "#PPOINT" if name.startswith("#") else "TRANS"
-    if "=" in text:
-        yield from _do(monitor, f"SET {text}")
-    elif not _variables(monitor, name, _PLACES):
-        yield from _do(monitor, f"SET {name} = {maker}()")
+    if equals or not _variables(monitor, name, _PLACES):
+        yield from _do(monitor, f"SET {text}" if equals else f"SET {name} = {maker}()")
     while True:
         (cell,) = _variables(monitor, name, _PLACES)
         yield _COLUMNS

@@ -421,8 +421,8 @@ class MotionQueue:
         shares = [motion.profile.share(times - motion.begin) for motion in self._running]
         lines = [motion.line for motion in self._running if motion.line is not None]
         if len(lines) == len(shares):
-            tools = lines[0].tools(shares[0])
-            for line, share in zip(lines[1:], shares[1:], strict=True):
+            tools = None
+            for line, share in zip(lines, shares, strict=True):
                 tools = line.tools(share, tools)
             return self._solved(lines[-1], tools)
         angles = np.repeat(self._running[0].start[None], len(times), axis=0)

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from lark import Lark, Transformer, v_args
 from lark import Tree as Rule
-from lark.exceptions import LarkError, UnexpectedInput
+from lark.exceptions import LarkError, UnexpectedInput, UnexpectedToken
 
 from rx90_common.base.errors import ConfigError, warn_caller
 from rx90_common.base.quoting import plain, quoted
@@ -116,8 +116,7 @@ class _Builder(Transformer[Any]):
 
     def step(self, label: float | None, line: Any = None) -> tuple[float | None, Line | None]:
         if isinstance(line, Rule):  # an instruction of control: its word is the name of the rule
-            parts: list[Any] = line.children
-            line = _line(line.data.strip("_"), *parts)
+            line = _line(line.data.strip("_"), *line.children)
         return label, line
 
     def header(self, name: str, parameters: Any) -> Program:
@@ -151,7 +150,7 @@ def parse(text: str, start: str, logic_first: bool = True) -> Any:
     try:
         return _parser("logic_first" if logic_first else "relations_first").parse(text, start=start)
     except UnexpectedInput as error:
-        is_at_end = getattr(error, "token", None) == ""
+        is_at_end = isinstance(error, UnexpectedToken) and error.token.type == "$END"
         left = text[error.column - 1 :][:20]
         raise SyntaxError("the line ends too early" if is_at_end else f"{left!r} is not expected") from None
     except (LarkError, VplusError) as error:

@@ -21,7 +21,7 @@ from rx90_emulator.vplus.cell import PERIOD, Cell, Change, Engine
 from rx90_emulator.vplus.motion import Motion
 from rx90_emulator.vplus.task import Task
 from rx90_emulator.vplus.tree import Memory
-from rx90_emulator.vplus.values import VplusError, bounded
+from rx90_emulator.vplus.values import VplusError
 
 
 @dataclass(frozen=True)
@@ -63,12 +63,14 @@ class ProgramRun:
 
     Attributes:
         cell: where it ran.
+        lines: what TYPE showed, with times, s.
         result: the series of the run; None if no time passed, or on running nodes.
         tracks: of the motions, in their order; none without series.
         error: what stopped it; None if it ran to its end.
     """
 
     cell: Cell
+    lines: list[tuple[float, str]] = field(default_factory=list)
     result: RunResult | None = None
     tracks: list[Track] = field(default_factory=list)
     error: VplusError | None = None
@@ -133,6 +135,17 @@ def run_program(
 def run_in(cell: Cell, memory: Memory, name: str, arguments: Sequence[str], options: Options) -> ProgramRun:
     """Run a program in a cell; as `run_program`, without the series."""
     run = ProgramRun(cell)
+    show = cell.show
+    begun: list[str] = []
+
+    def collect(text: str, time: float, ends: bool) -> None:
+        begun.append(text)
+        if ends:
+            run.lines.append((time, "".join(begun)))
+            begun.clear()
+        show(text, time, ends)
+
+    cell.show = collect
     cell.queue.monitor = options.monitor_speed
     try:
         if not memory.programs:
@@ -147,9 +160,12 @@ def run_in(cell: Cell, memory: Memory, name: str, arguments: Sequence[str], opti
 
 def _constant(word: str) -> float | str:
     try:
-        return bounded(float(word))  # type: ignore[return-value]  # a real
+        number = float(word)
     except ValueError:
         return word
+    if not math.isfinite(number):
+        raise VplusError("Illegal value", f"argument {word}")
+    return number
 
 
 def _execute(task: Task, options: Options) -> None:
