@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import operator
 import re
+import time
 from collections.abc import Iterable
-from itertools import takewhile
 from typing import Any, Final
 
 import numpy as np
@@ -15,12 +15,14 @@ from rx90_common.base.arrays import Array
 from rx90_emulator.vplus.task import Task
 from rx90_emulator.vplus.transformations import frame, inverse, placed, trans
 from rx90_emulator.vplus.tree import Tree, entries
-from rx90_emulator.vplus.values import NUMBERS, Cell, Format, Joints, Value, VplusError, number_of
+from rx90_emulator.vplus.values import NUMBERS, Cell, Format, Joints, Value, VplusError
 
 _LARGEST_WIDTH: Final = 128
 _SAME: Final = 1e-3  # mm, and 1e-3 of a turn's matrix
-_FORMAT: Final = re.compile(r"([EFGHIO])(\d{0,3})(\.\d{1,2})?$")
+_FORMAT: Final = re.compile(r"([DEFGHIO])(\d{0,3})(?:\.(\d{1,2}))?$")
 _CODES: Final = {"H": "X", "I": "d", "O": "o"}
+_NUMBER: Final = re.compile(r"\s*(?:\^B([01]+)|\^O([0-7]+)|\^H([0-9A-F]+)|([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d\d?)?))")
+_BASES: Final = (2, 8, 16)
 
 
 def _signed(number: int) -> int:
@@ -50,18 +52,29 @@ def written(task: Task, items: Iterable[Value]) -> tuple[str, bool]:
 
 
 def _shown(number: Value, style: str) -> str:
-    if style == "D" and isinstance(number, float):
-        return f" {number + 0.0:.7g}"
     match = _FORMAT.match(style)
     if match is None or not isinstance(number, float):
         formats = "/D /Ew.d /Fw.d /Gw.d /Hn /In /On /Xn /Cn /S"
         raise VplusError("Illegal value", f"format /{style} of a number; accepted: {formats}")
-    kind, width, places = match.groups("")
-    if kind in _CODES:
-        shown = format(round(number), width + _CODES[kind])
+    if match[1] == "D":
+        return f" {number + 0.0:.7g}"
+    width = int(match[2] or 0)
+    if match[1] in _CODES:
+        shown = f"{round(number):{width}{_CODES[match[1]]}}"
     else:
-        shown = format(number, width + (places or ".0") + kind)
-    return "*" * int(width) if width and len(shown) > int(width) else shown
+        places = int(match[3] or 0)
+        seen = number if abs(number) >= 0.5 * 10.0**-places else 0.0  # the sign of zero would show
+        shown = f"{seen:{width}.{places}{match[1]}}"
+    return "*" * width if width and len(shown) > width else shown
+
+
+def number_of(text: str) -> float:
+    """Return the number that a string begins with, 0 if there is none."""
+    match = _NUMBER.match(text.upper())
+    if match is None:
+        return 0.0
+    kind = match.lastindex or 1
+    return float(match[kind]) if kind > len(_BASES) else float(int(match[kind], _BASES[kind - 1]))
 
 
 def _decoded(source: Cell, delimiters: str, mode: float | None = None) -> str:
@@ -70,9 +83,11 @@ def _decoded(source: Cell, delimiters: str, mode: float | None = None) -> str:
     if not isinstance(text, str):
         raise VplusError("Undefined value", source.name)
     wants_marks = (mode or 0.0) > 0.0
-    taken = "".join(takewhile(lambda character: (character in delimiters) == wants_marks, text))
-    source.store(text[len(taken) :])
-    return taken
+    count = 0
+    while count < len(text) and (text[count] in delimiters) == wants_marks:
+        count += 1
+    source.store(text[count:])
+    return text[:count]
 
 
 def _error_text(number: int) -> str:
@@ -83,13 +98,24 @@ def _error_text(number: int) -> str:
 # Locations, signals, the state of the program.
 
 
+def _bit_sum(truths: Iterable[bool]) -> int:
+    return sum(1 << bit for bit, truth in enumerate(truths) if truth)
+
+
 def _in_range(task: Task, target: Array | Joints) -> int:
     """Return 0 for a location that the arm reaches; else bit n for joint n, or bit 14 where no joints would do."""
     try:
-        outside = task.arm.outside(task.angles(target))
+        q = task.arm.angles(target) if isinstance(target, Joints) else task.solve(target)
     except VplusError:
         return 1 << 13
-    return sum(1 << joint for joint in outside)
+    return sum(1 << joint for joint in task.arm.outside(q))
+
+
+def _configuration(task: Task) -> int:
+    """Return the present configuration as bits: 1 for LEFTY, 2 for BELOW, 4 for FLIP."""
+    posture = task.arm.posture(task.cell.drive.position())
+    lefty = posture.shoulder == "back"
+    return _bit_sum([lefty, (posture.elbow == "positive") == lefty, posture.wrist == "negative"])
 
 
 def _last(task: Task, array: Tree) -> int:
@@ -105,7 +131,7 @@ def _speed(task: Task, kind: int) -> float:
 
 
 _KINDS: Final = """
-+  real|string real|string
++  plain plain
 -  real real
 *  real real
 /  real real
@@ -140,12 +166,15 @@ FRACT  real
 SIGN  real
 MIN  real real*
 MAX  real real*
+OUTSIDE  real real real
 LEN  text
 ASC  text integer?
 POS  text text integer?
 VAL  text
+STRDIF  text text
 $CHR  integer
 $MID  text integer integer
+$TRUNCATE  text
 $DECODE  variable text real?
 $ERROR  integer
 TRANS  real? real? real? real? real? real?
@@ -170,15 +199,23 @@ TOOL
 BASE
 HERE
 DEST
+#PHERE
+#PDEST
 TIME
+$TIME  any*
 $ENCODE  any*
 INRANGE  location
+CONFIG  any?
 DEFINED  tree
 LAST  tree
 SIG  integer integer*
+BITS  integer integer?
 TIMER  integer
 SWITCH  name
 SPEED  integer
+ACCEL  integer
+DURATION  integer?
+ERROR  integer
 IOSTAT  integer
 """
 
@@ -218,12 +255,15 @@ _VALUES: Final[dict[str, Any]] = {
     "SIGN": lambda number: 1 if number >= 0.0 else -1,
     "MIN": lambda *numbers: min(numbers),
     "MAX": lambda *numbers: max(numbers),
+    "OUTSIDE": lambda low, number, high: not low <= number <= high,
     "LEN": len,
     "ASC": lambda text, place=1: ord(text[place - 1]) if 1 <= place <= len(text) else -1,
     "POS": lambda text, part, start=1: text.find(part, max(start - 1, 0)) + 1,
     "VAL": number_of,
+    "STRDIF": lambda left, right: (left > right) - (left < right),
     "$CHR": lambda code: bytes([code]).decode("latin-1"),
     "$MID": lambda text, first, count: text[max(first - 1, 0) :][: max(count, 0)],
+    "$TRUNCATE": lambda text: text.partition("\0")[0],
     "$DECODE": _decoded,
     "$ERROR": _error_text,
     "TRANS": trans,
@@ -248,15 +288,23 @@ _STATE: Final[dict[str, Any]] = {
     "BASE": lambda task: task.base,
     "HERE": lambda task: task.tool_at(task.cell.drive.position()),
     "DEST": lambda task: task.tool_at(task.queue.destination),
+    "#PHERE": lambda task: task.arm.joints(task.cell.drive.position()),
+    "#PDEST": lambda task: task.arm.joints(task.queue.destination),
     "TIME": lambda task: task.cell.time,
+    "$TIME": lambda task, *_: time.strftime("%d-%b-%y %H:%M:%S", time.gmtime(task.cell.time)),
     "$ENCODE": lambda task, *items: written(task, items)[0],
     "INRANGE": _in_range,
+    "CONFIG": lambda task, _=None: _configuration(task),
     "DEFINED": lambda task, variable: task.cell_of(variable).value is not None,
     "LAST": _last,
     "SIG": lambda task, *signals: all(map(task.cell.is_on, signals)),
+    "BITS": lambda task, first, count=1: _bit_sum(task.cell.is_on(first + bit) for bit in range(min(count, 24))),
     "TIMER": lambda task, number: task.cell.time - task.timers.get(number, 0.0),
     "SWITCH": lambda task, name: name in task.switches,
     "SPEED": _speed,
+    "ACCEL": lambda task, kind: task.always["UP" if kind == 1 else "DOWN"],
+    "DURATION": lambda task, _=1: task.always["DURATION"],
+    "ERROR": lambda task, _: task.error,
     "IOSTAT": lambda *_: 1,
 }
 FUNCTIONS: Final = entries(_KINDS, _VALUES, of_task=False) | entries(_KINDS_OF_STATE, _STATE, of_task=True)

@@ -8,16 +8,16 @@ from typing import Any, Final
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_emulator.vplus.functions import written
+from rx90_emulator.vplus.functions import number_of, written
 from rx90_emulator.vplus.motion import Line, Motion, Profile, plan
 from rx90_emulator.vplus.task import Loop, Reaction, Task, Waits
 from rx90_emulator.vplus.transformations import aligned, six_numbers, trans
 from rx90_emulator.vplus.tree import Reference, Tree, entries
-from rx90_emulator.vplus.values import Cell, Joints, Value, VplusError, number_of
+from rx90_emulator.vplus.values import Cell, Joints, Value, VplusError
 
 _UNITS: Final = {"MMPS": 1.0, "IPS": 25.4}  # mm/s
 _NULL_TIME: Final = 2.0  # s, until errors must be small
-_STRAIGHT: Final = ("MOVES", "APPROS", "DEPARTS", "ALIGN")
+_STRAIGHT: Final = ("MOVES", "MOVEST", "APPROS", "DEPARTS", "ALIGN")
 _HAND: Final = {"O": (3001, -3002), "C": (-3001, 3002), "R": (-3001, -3002)}
 """Signals of the hand: open, closed, relaxed."""
 _CONFIGURATIONS: Final = {
@@ -35,10 +35,7 @@ ALTER ALTON ALTOFF  ALTER needs a licensed option
 FORCE.READ FORCE.MODE FORCE.FRAME FORCE.OFFSET  force sensing is not emulated
 FOPEN FOPENA FOPEND FOPENR FOPENW FCLOSE FSET  no files are emulated
 EXECUTE ABORT KILL  one task is emulated
-MOVEF MOVESF JMOVE JHERE  they belong to other arms
-MOVET MOVEST  no servo hand is emulated
-REACTE RETURNE LOCK  priorities and routines for errors are not emulated
-BITS RESET  signals are set by SIGNAL
+MOVEF MOVESF  they belong to other arms
 DEVICE SETDEVICE DDCMP  no devices are emulated
 """
 
@@ -46,8 +43,8 @@ DEVICE SETDEVICE DDCMP  no devices are emulated
 # Control.
 
 
-def _begin_for(task: Task, variable: Cell, first: float, limit: float, increment: float = 1.0) -> None:
-    loop = Loop(variable, limit, increment)
+def _begin_for(task: Task, variable: Cell, first: float, limit: float, increment: float | None) -> None:
+    loop = Loop(variable, limit, 1.0 if increment is None else increment)
     if loop.increment == 0.0:
         raise VplusError("Illegal value", "STEP 0")
     task.frame.loops[task.step.start] = loop
@@ -71,6 +68,10 @@ def _choose_case(task: Task, value: Value) -> None:
             return
 
 
+def _return(task: Task) -> None:
+    task.frames.pop()
+
+
 def _stop(task: Task) -> None:
     task.halted = task.line.word == "HALT"
     task.frames.clear()
@@ -78,6 +79,12 @@ def _stop(task: Task) -> None:
 
 def _pause(_: Task) -> None:
     raise VplusError("Program paused")
+
+
+def _assign(_: Task, value: Value, target: Cell) -> None:
+    if not isinstance(value, float | str):
+        raise VplusError("Illegal assignment", f"{target.name} = a location; accepted: SET {target.name} = ...")
+    target.store(value)
 
 
 # Locations.
@@ -94,6 +101,11 @@ def _place(task: Task, location: Array | Joints) -> Array:
 
 def _here(task: Task, target: Cell) -> None:
     _set(task, task.arm.joints(task.cell.drive.position()), target)
+
+
+def _joints_here(task: Task, *targets: Cell) -> None:
+    for target, value in zip(targets, task.arm.joints(task.cell.drive.position()), strict=False):
+        target.store(value)
 
 
 def _decompose(task: Task, value: Array | Joints, target: Tree) -> None:
@@ -163,8 +175,13 @@ def _give(task: Task, motion: Motion) -> Waits:
     return task.until(lambda: task.queue.waiting is not motion, "the motion before")
 
 
-def _move(task: Task, target: Array | Joints) -> Waits:
-    return _issue(task, task.angles(target, keep=task.line.word in _STRAIGHT))
+def _move(task: Task, target: Array | Joints, hand: float | None = None) -> Waits:
+    """Move to a location, along a line or not; MOVET and MOVEST open the hand or close it at the start."""
+    if hand is not None:
+        _set_hand(task, "O" if hand > 0.0 else "C")
+    if isinstance(target, Joints):
+        return _issue(task, task.arm.angles(target))
+    return _issue(task, task.solve(target, keep=task.line.word in _STRAIGHT))
 
 
 def _approach(task: Task, target: Array | Joints, distance: float) -> Waits:
@@ -186,6 +203,13 @@ def _drive(task: Task, joint: int, change: float, percent: float) -> Waits:
     if task.readings.drive_obeys_program_speed:
         percent *= {**task.always, **task.next}["SPEED"] / 100.0
     return _issue(task, task.queue.destination + np.radians(change) * (np.arange(1, 7) == joint), SPEED=percent)
+
+
+def _move_joints(task: Task, *values: float | None) -> Waits:
+    """Move to joint values; those that are left out stay."""
+    joints = list(task.arm.joints(task.queue.destination))
+    joints[: len(values)] = [old if new is None else new for old, new in zip(joints, values, strict=False)]
+    return _issue(task, task.arm.angles(Joints(joints)))
 
 
 def _delay(task: Task, seconds: float) -> Waits:
@@ -239,9 +263,9 @@ def _configure(task: Task) -> None:
 # Signals and time.
 
 
-def _set_hand(task: Task) -> None:
+def _set_hand(task: Task, state: str = "") -> None:
     """Set the hand when the next motion begins."""
-    task.at_start.append(partial(task.cell.switch, *_HAND[task.line.word[0]]))
+    task.at_start.append(partial(task.cell.switch, *_HAND[state or task.line.word[0]]))
 
 
 def _set_hand_now(task: Task) -> Waits:
@@ -265,14 +289,35 @@ def _wait(task: Task, condition: Tree = None) -> Waits:
         yield from task.until(lambda: task.taken("real", condition) != 0.0, "WAIT")
 
 
+def _set_bits(task: Task, value: int, first: int, count: int = 1) -> None:
+    task.cell.switch(*(bit + first if value >> bit & 1 else -first - bit for bit in range(min(count, 24))))
+
+
+def _reset(task: Task) -> None:
+    task.cell.switch(*(-signal for signal in task.cell.outputs()))
+
+
 def _set_timer(task: Task, value: float, number: int) -> None:
     task.timers[number] = task.cell.time - value
 
 
-def _react(task: Task, signal: int, name: str, _: object = None) -> None:
-    """Call a program when a signal goes on; REACTI ends the motion, too."""
+def _react(task: Task, signal: int, name: str, priority: float = 1.0) -> None:
+    """Call a program when a signal changes; REACTI ends the motion, too."""
     task.program(name)
-    task.reactions[signal] = Reaction(name, task.line.word == "REACTI", task.cell.is_on(signal))
+    stops = task.line.word == "REACTI"
+    task.reactions[signal] = Reaction(name, priority, stops, task.cell.is_on(signal))
+
+
+def _react_to_errors(task: Task, name: str = "") -> None:
+    task.on_error = name
+
+
+def _ignore(task: Task, signal: int, _: object = None) -> None:
+    task.reactions.pop(signal, None)
+
+
+def _lock(task: Task, priority: float) -> None:
+    task.lock = priority
 
 
 def _set_switches(task: Task, *names: str) -> None:
@@ -307,7 +352,7 @@ def _ask(task: Task, question: str, *targets: Cell) -> Waits:
         target.store(answer if target.name[0] == "$" else number_of(part))
 
 
-def _attach(task: Task, unit: Tree = None, *_: object) -> None:
+def _attach(task: Task, unit: Tree, *_: object) -> None:
     """Give a free unit of input and output where a variable stands for it."""
     if isinstance(unit, Reference):
         task.cell_of(unit).store(10.0)
@@ -321,24 +366,27 @@ ELSE ANY GOTO VALUE EXIT NEXT  tree*
 END
 FOR  variable real real real?
 CASE  folded
-CALL  text tree*
-RETURN
+CALL CALLS  text tree*
+RETURN RETURNE
 STOP HALT
 PAUSE
 """
 _KINDS: Final = """
-=  real|string variable
+=  any variable
 AUTO LOCAL GLOBAL  tree*
 SET=  location variable
 HERE  variable
+JHERE  variable variable*
 DECOMPOSE=  location tree
 TOOL  place?
 BASE  real? real? real? real?
 MOVE MOVES  location
+MOVET MOVEST  location real
 APPRO APPROS  location real
 DEPART DEPARTS  real
 ALIGN
 DRIVE  joint real percent
+JMOVE  real? real? real? real? real? real?
 READY
 DELAY  seconds
 BREAK
@@ -353,23 +401,27 @@ DURATION  seconds
 OPEN CLOSE RELAX
 OPENI CLOSEI RELAXI
 SIGNAL  integer integer*
+BITS=  integer integer integer?
+RESET
 WAIT  tree?
 WAIT.EVENT  tree? seconds?
 TIMER=  real integer
 REACT REACTI  integer name real?
+REACTE  name?
 IGNORE  integer any?
+LOCK  real
 ENABLE DISABLE  name name*
 PARAMETER=  any name
 TYPE  any*
 PROMPT  text variable*
 READ()  any variable*
 WRITE()  any any*
-ATTACH()  tree? any?
+ATTACH()  tree any?
 DETACH() SELECT=  tree*
 ATTACH DETACH MULTIPLE SINGLE OVERLAP NOOVERLAP
 """
 _ACTIONS: Final[dict[str, Any]] = {
-    "=": lambda _, value, target: target.store(value),
+    "=": _assign,
     "IF_THEN": lambda task, condition: task.jump(condition == 0.0),
     "IF_GOTO": lambda task, condition, _: task.jump(condition != 0.0),
     "ELSE": lambda task, *_: task.jump(),
@@ -377,19 +429,22 @@ _ACTIONS: Final[dict[str, Any]] = {
     "FOR": _begin_for,
     "CASE": _choose_case,
     "CALL": Task.call,
-    "RETURN": lambda task: task.frames.pop() and None,
+    "RETURN": _return,
     "STOP": _stop,
     "PAUSE": _pause,
     "SET=": _set,
     "HERE": _here,
+    "JHERE": _joints_here,
     "DECOMPOSE=": _decompose,
     "TOOL": _set_tool,
     "BASE": _set_base,
     "MOVE": _move,
+    "MOVET": _move,
     "APPRO": _approach,
     "DEPART": _depart,
     "ALIGN": _align,
     "DRIVE": _drive,
+    "JMOVE": _move_joints,
     "READY": lambda task: _issue(task, task.arm.ready),
     "DELAY": _delay,
     "BREAK": _break,
@@ -404,11 +459,15 @@ _ACTIONS: Final[dict[str, Any]] = {
     "OPEN": _set_hand,
     "OPENI": _set_hand_now,
     "SIGNAL": lambda task, *signals: task.cell.switch(*signals),
+    "BITS=": _set_bits,
+    "RESET": _reset,
     "WAIT": _wait,
     "WAIT.EVENT": _wait_event,
     "TIMER=": _set_timer,
     "REACT": _react,
-    "IGNORE": lambda task, signal, _=None: task.reactions.pop(signal, None) and None,
+    "REACTE": _react_to_errors,
+    "IGNORE": _ignore,
+    "LOCK": _lock,
     "ENABLE": _set_switches,
     "PARAMETER=": _set_parameter,
     "TYPE": _show,

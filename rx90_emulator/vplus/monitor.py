@@ -12,7 +12,6 @@ import socket
 import time
 import tty
 from collections.abc import Callable, Generator
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -24,10 +23,10 @@ from rx90_emulator.vplus.cell import Cell
 from rx90_emulator.vplus.instructions import CONTROL
 from rx90_emulator.vplus.program import load_programs, parse_line, read
 from rx90_emulator.vplus.task import OF_EXECUTE, Frame, Task, Waits
-from rx90_emulator.vplus.transformations import six_numbers
+from rx90_emulator.vplus.transformations import six_numbers, trans
 from rx90_emulator.vplus.tree import Memory, Program, Step
 from rx90_emulator.vplus.values import Cell as Variable
-from rx90_emulator.vplus.values import Joints, LoadError, Value, VplusError, plain_name
+from rx90_emulator.vplus.values import Joints, LoadError, Value, VplusError, element, plain_name
 
 
 class Ask(str):
@@ -44,9 +43,8 @@ _FILE: Final = re.compile(r"[\w-]+(\.\w+)?", re.ASCII)
 _CALLED: Final = re.compile(r"(?:/C\s*)?(?:\d\s+)?([^,(]+(?:\(.*\))?)\s*(?:,\s*(-?\d+).*)?", re.IGNORECASE)
 _LONGEST_LINE: Final = 1000
 _MOST_BYTES: Final = 4096
-"""In a beat."""
-_LATEST: Final = 0.3
-"""Time that is made up for, s; a machine that is slower than that is slower than the wall clock."""
+_MOST_BEATS: Final = 20
+"""Beats that are made up for at once; a machine that is slower than that is slower than the wall clock."""
 _INTERRUPT: Final = 3
 _BITS: Final = 10
 """Of a byte on a line with 8 data bits, no parity and a stop bit."""
@@ -238,6 +236,12 @@ def _numbers(value: Any) -> tuple[float, ...]:
     return value if isinstance(value, Joints) else six_numbers(value)
 
 
+def _name(text: str) -> str:
+    if not re.fullmatch(r"[$#]?[A-Za-z][\w.]*", text):
+        raise VplusError("Illegal value", f"name {plain(text)}")
+    return plain_name(text)
+
+
 def _here(monitor: Monitor, text: str) -> Dialogue:
     yield from _do(monitor, "BREAK")
     yield from _do(monitor, f"HERE {text}")
@@ -246,20 +250,26 @@ def _here(monitor: Monitor, text: str) -> Dialogue:
 
 def _point(monitor: Monitor, text: str) -> Dialogue:
     """Show a location, and store what is typed instead, until an empty line."""
-    name, equals, _ = map(str.strip, text.partition("="))
-    maker = "#PPOINT" if name.startswith("#") else "TRANS"
-    if equals or not _variables(monitor, name, _PLACES):
-        yield from _do(monitor, f"SET {text}" if equals else f"SET {name} = {maker}()")
+    name = _name(text.partition("=")[0].strip())
+    if "=" in text:
+        yield from _do(monitor, f"SET {text}")
+    cell = element(monitor.task.memory.variables, name, ())
+    if cell.value is None:
+        cell.store(Joints([0.0] * 6) if name[0] == "#" else np.eye(4))
     while True:
-        (cell,) = _variables(monitor, name, _PLACES)
         yield _COLUMNS
         yield _text(cell.value)
         answer = yield Ask("Change? ")
         if not answer.strip():
             return
-        numbers = map(repr, _numbers(cell.value))
-        changed = [new.strip() or old for new, old in zip_longest(answer.split(","), numbers, fillvalue="")]
-        yield from _do(monitor, f"SET {name} = {maker}({','.join(changed)})")
+        typed = [*answer.split(","), *[""] * 6]
+        try:
+            numbers = [
+                float(new) if new.strip() else old for old, new in zip(_numbers(cell.value), typed, strict=False)
+            ]
+        except ValueError:
+            raise VplusError("Illegal value", plain(answer)) from None
+        cell.store(Joints(numbers) if name[0] == "#" else trans(*numbers))
 
 
 def _variables(monitor: Monitor, text: str, kinds: Any) -> list[Variable]:
@@ -327,6 +337,12 @@ def _proceed(monitor: Monitor, _: str) -> None:
     monitor.program = monitor.rounds()
 
 
+def _retry(monitor: Monitor, text: str) -> None:
+    """Go on with the step that was interrupted."""
+    _proceed(monitor, text)
+    monitor.task.frame.place -= 1
+
+
 def _sure() -> Dialogue:
     answer = yield Ask("Are you sure (Y/N)? ")
     return answer.strip().upper().startswith("Y")
@@ -389,16 +405,23 @@ def _delete(monitor: Monitor, text: str) -> Dialogue:
             del monitor.task.memory.programs[program.name]
 
 
+def _zero(monitor: Monitor, _: str) -> Dialogue:
+    if (yield from _sure()):
+        monitor.task.memory.programs.clear()
+        monitor.task.memory.variables.clear()
+
+
 def _edit(monitor: Monitor, text: str) -> Dialogue:
     programs = monitor.task.memory.programs
-    present = programs.get(plain_name(text.partition("(")[0].strip()), Program())
-    lines = [*present.text]
+    name = _name(text.partition("(")[0].strip())
+    present = programs.get(name)
+    lines = [*present.text] if present is not None else []
     while True:
         answer = yield Ask(f"{len(lines) + 1:5d} ? ")
         if answer.strip().upper() == "E":
             break
         lines.append(answer)
-    head = text if "(" in text or not present.name else _listing(present)[0].partition(" ")[2]
+    head = text if "(" in text or present is None else _listing(present)[0].partition(" ")[2]
     trial = Memory()
     reader = read("\n".join([f".PROGRAM {head}", *lines, ".END"]), trial)
     yield from (f"*{fault}* step {line - 1}" for line, fault in reader.faults)
@@ -426,6 +449,7 @@ COMMANDS: Final[dict[str, str | Command]] = {
     "ABORT": _abort,
     "KILL": _kill,
     "PROCEED": _proceed,
+    "RETRY": _retry,
     "STATUS": _status,
     "LOAD": _load,
     "STORE": _store,
@@ -433,9 +457,10 @@ COMMANDS: Final[dict[str, str | Command]] = {
     "EDIT": _edit,
     "ENABLE": _enable,
     "CALIBRATE": "BREAK",
+    "ZERO": _zero,
     "SPEED": "SPEED {} MONITOR",
     "PANIC": "BRAKE",
-    **{word: f"{word} {{}}" for word in ("TOOL", "BASE", "SIGNAL", "PARAMETER", "DISABLE", "TYPE")},
+    **{word: f"{word} {{}}" for word in ("TOOL", "BASE", "SIGNAL", "RESET", "PARAMETER", "DISABLE", "TYPE")},
 }
 """Commands, of which the first fits that begins as what was typed; a text is an instruction."""
 
@@ -472,25 +497,55 @@ def serve(
                     _exchange(client.fileno(), monitor, output, baud, waits)
 
 
+class _Way:
+    """One direction of a line: how many bytes have had the time to pass."""
+
+    def __init__(self, baud: int | None) -> None:
+        self._byte_time = 0.0 if baud is None else _BITS / baud
+        self._clear = 0.0
+
+    def room(self, *, waiting: bool) -> int:
+        """Return the number of bytes that may pass now; while none wait, the time that goes by is of no use later."""
+        now = time.monotonic()
+        if not waiting:
+            self._clear = now
+        if self._byte_time == 0.0:
+            return _MOST_BYTES
+        return min(int((now - self._clear) / self._byte_time), _MOST_BYTES)
+
+    def take(self, count: int) -> None:
+        """Let bytes pass."""
+        self._clear += count * self._byte_time
+
+
 def _exchange(line: int, monitor: Monitor, output: bytearray, baud: int | None, waits: bool) -> None:
     """Exchange bytes with a terminal, and let the time of the cell pass with the wall clock, until it has gone."""
-    period = monitor.task.cell.period
-    most = _MOST_BYTES if baud is None else max(int(period * baud / _BITS), 1)
+    cell = monitor.task.cell
+    incoming = _Way(baud)
+    outgoing = _Way(baud)
     output[:] = b"."
-    due = time.monotonic()
+    outgoing.room(waiting=False)
+    began = time.monotonic() - cell.time
     while True:
-        due = max(due + period, time.monotonic() - _LATEST)
-        time.sleep(max(due - time.monotonic(), 0.0) if waits else 0.0)
+        time.sleep(max(began + cell.time + cell.period - time.monotonic(), 0.0) if waits else 0.0)
         ready, free, _ = select.select([line], [line] if output else [], [], 0.0)
-        if ready:
+        room = incoming.room(waiting=bool(ready))
+        if ready and room:
             try:
-                data = os.read(line, most)
+                data = os.read(line, room)
             except OSError:
                 data = b""
             if not data:
                 return
+            incoming.take(len(data))
             monitor.receive(data)
-        monitor.beat()
-        if free:
-            count = os.write(line, output[:most])
+        late = time.monotonic() - began - cell.time if waits else cell.period
+        for _ in range(min(int(late / cell.period), _MOST_BEATS)):
+            monitor.beat()
+        if late > _MOST_BEATS * cell.period:
+            began = time.monotonic() - cell.time
+        room = outgoing.room(waiting=bool(free))
+        if free and room:
+            count = os.write(line, output[:room])
+            outgoing.take(count)
             del output[:count]

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
@@ -205,6 +204,8 @@ class Line:
     """
 
     def __init__(self, start: Array, end: Array, tool: Array, posture: Branch) -> None:
+        from scipy.spatial.transform import Rotation  # takes a while
+
         self.start = start
         self.to_flange = inverse(tool)
         self.posture = posture
@@ -213,10 +214,10 @@ class Line:
         self.angle = float(np.linalg.norm(turn))
         self._axis = turn / (self.angle or 1.0)
 
-    def tools(self, share: Array, start: Array | None = None) -> Array:
-        """Return the tool at shares of the way, shape (n, 4, 4), from a start that may move, of the same shape."""
-        tools = np.repeat(self.start[None], len(share), axis=0) if start is None else start
-        tools[:, :3, :3] = tools[:, :3, :3] @ axis_rotation(self._axis, share * self.angle)
+    def tools(self, share: Array) -> Array:
+        """Return the tool at shares of the way, shape (n, 4, 4)."""
+        tools = np.repeat(self.start[None], len(share), axis=0)
+        tools[:, :3, :3] = self.start[:3, :3] @ axis_rotation(self._axis, share * self.angle)
         tools[:, :3, 3] += share[:, None] * self.way
         return tools
 
@@ -277,23 +278,24 @@ def plan(arm: ProgrammedArm, motion: Motion, chosen: Mapping[str, float], scaled
     """
     full = arm.full
     line = motion.line
-    percents = np.array([chosen["SPEED"]])
     if line is None:
         arm.check_range(motion.end)
-        ways = np.degrees(np.abs(motion.end - motion.start))
-        speeds = np.array(full.joint_speed)
-        accelerations = np.array(full.joint_acceleration)
+        turns = np.degrees(np.abs(motion.end - motion.start)).tolist()
+        percents = [chosen["SPEED"]] * len(turns)
+        ways = [*zip(turns, full.joint_speed, full.joint_acceleration, percents, strict=True)]
     else:
-        ways = np.array([np.linalg.norm(line.way), math.degrees(line.angle)])
-        speeds = np.array([full.linear_speed, full.rotary_speed])
-        accelerations = np.array([full.linear_acceleration, full.rotary_acceleration])
-        percents = np.array([chosen["SPEED"], chosen["ROTARY"]])
-    if ways.max() < _SHORTEST_WAY:
+        length = float(np.linalg.norm(line.way))
+        angle = math.degrees(line.angle)
+        ways = [(length, full.linear_speed, full.linear_acceleration, chosen["SPEED"])]
+        ways += [(angle, full.rotary_speed, full.rotary_acceleration, chosen["ROTARY"])]
+    ways = [row for row in ways if row[0] > _SHORTEST_WAY]
+    if not ways:
         return
-    fastest = 0.01 / np.max(ways / (speeds * percents))
-    steepest = 1e-4 / np.max(ways / (accelerations * (percents if scaled else 100.0)))
-    ramps = (steepest * chosen["UP"], steepest * chosen["DOWN"])
-    motion.profile = Profile.fastest(fastest, *ramps, chosen["SMOOTH"] != 0.0, chosen["DURATION"])
+    fastest = min(speed * percent / way for way, speed, _, percent in ways) / 100.0
+    steepest = min(rate * (percent if scaled else 100.0) / way for way, _, rate, percent in ways) / 10_000.0
+    up = steepest * chosen["UP"]
+    down = steepest * chosen["DOWN"]
+    motion.profile = Profile.fastest(fastest, up, down, chosen["SMOOTH"] != 0.0, chosen["DURATION"])
     if line is not None:
         _check_line(arm, motion, line)
 
@@ -306,13 +308,15 @@ def _check_line(arm: ProgrammedArm, motion: Motion, line: Line) -> None:
     for row in angles:
         arm.check_range(row)
     speed = np.diff(angles, axis=0, prepend=motion.start[None]) / times[1]
-    fastest = np.abs(speed).max(axis=0)
-    joint = int(np.argmax(fastest / arm.robot.max_velocity))
-    limit = float(arm.robot.max_velocity[joint])
-    if fastest[joint] > limit:
-        detail = f"{math.degrees(fastest[joint]):.0f} deg/s on the line; accepted: up to {math.degrees(limit):.0f}"
+    excess = np.abs(speed) / arm.robot.max_velocity
+    if excess.max() > 1.0:
+        joint = int(np.argmax(excess.max(axis=0)))
+        fastest = math.degrees(np.abs(speed[:, joint]).max())
+        limit = math.degrees(arm.robot.max_velocity[joint])
+        detail = f"the line asks for {fastest:.0f} deg/s; accepted: up to {limit:.0f}"
         raise VplusError(f"Soft envelope error* Mtr {joint + 1}", detail)
-    needed = float((np.abs(np.diff(speed[1:], axis=0)) / arm.max_acceleration).max() / times[1])
+    acceleration = np.diff(speed[1:], axis=0) / times[1]
+    needed = float((np.abs(acceleration) / arm.max_acceleration).max())
     if needed > 1.0:
         motion.profile = motion.profile.gentler(needed)
     motion.end = angles[-1]
@@ -419,12 +423,10 @@ class MotionQueue:
         if not self._running:
             return np.repeat(self.position[None], len(times), axis=0)
         shares = [motion.profile.share(times - motion.begin) for motion in self._running]
-        lines = [motion.line for motion in self._running if motion.line is not None]
-        if len(lines) == len(shares):
-            tools = None
-            for line, share in zip(lines, shares, strict=True):
-                tools = line.tools(share, tools)
-            return self._solved(lines[-1], tools)
+        first = self._running[0].line
+        last = self._running[-1].line
+        if first is not last and first is not None and last is not None:
+            return self._corner(first.tools(shares[0]), last, shares[-1])
         angles = np.repeat(self._running[0].start[None], len(times), axis=0)
         for motion, share in zip(self._running, shares, strict=True):
             if motion.line is None:
@@ -432,6 +434,13 @@ class MotionQueue:
             else:
                 angles += self._solved(motion.line, motion.line.tools(share)) - motion.start
         return angles
+
+    def _corner(self, ending: Array, line: Line, share: Array) -> Array:
+        """Return joint angles where a line adds up with the end of another."""
+        tools = line.tools(share)
+        tools[:, :3, 3] += ending[:, :3, 3] - line.start[:3, 3]
+        tools[:, :3, :3] = ending[:, :3, :3] @ (line.start[:3, :3].T @ tools[:, :3, :3])
+        return self._solved(line, tools)
 
     def _solved(self, line: Line, tools: Array) -> Array:
         return self.arm.solve(tools @ line.to_flange, line.posture, self.position)

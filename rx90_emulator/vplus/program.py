@@ -4,30 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache
-from operator import neg
 from pathlib import Path
 from typing import Any, Final
 
 from lark import Lark, Transformer, v_args
 from lark import Tree as Rule
-from lark.exceptions import LarkError, UnexpectedInput, UnexpectedToken
+from lark.exceptions import LarkError, UnexpectedInput
 
 from rx90_common.base.errors import ConfigError, warn_caller
 from rx90_common.base.quoting import plain, quoted
-from rx90_common.base.text_lines import read_bytes
 from rx90_emulator.vplus.functions import FUNCTIONS
 from rx90_emulator.vplus.instructions import INSTRUCTIONS, REFUSED
 from rx90_emulator.vplus.transformations import trans
 from rx90_emulator.vplus.tree import Function, Line, Memory, Program, Readings, Reference, Step, Tree
-from rx90_emulator.vplus.values import Format, Joints, LoadError, VplusError, element, number_of, plain_name
+from rx90_emulator.vplus.values import Format, Joints, LoadError, VplusError, bounded, element, plain_name
 
 SUFFIXES: Final = (".v2", ".pg", ".lc", ".rv", ".st")
 _LONGEST_LINE: Final = 255
 _LARGEST_LABEL: Final = 65535
+_LARGEST_FILE: Final = 20_000_000
 _LOCATION: Final = 6
+_BASES: Final = {"B": 2, "O": 8, "H": 16}
 _RESERVED: Final = "TO BY OF STEP THEN DO AND OR XOR NOT MOD COM ALWAYS LAST POS DX DY DZ BELOW"
 _DECLARATIONS: Final = ("AUTO", "LOCAL", "GLOBAL")
-_DATA: Final = (".LOCATIONS", ".REALS", ".STRINGS")
 _LOOPS: Final = ("FOR", "WHILE", "DO")
 _INSIDE: Final = {
     "IF_THEN": ("ELSE", "END"),
@@ -43,43 +42,55 @@ _INSIDE: Final = {
 
 
 def _function(name: str, *arguments: Tree) -> Function:
-    word = name.upper()
-    entry = FUNCTIONS.get(word)
+    entry = FUNCTIONS.get(name.upper())
     if entry is None:
         raise SyntaxError(f"*Undefined program or variable name* {name}(")
-    return Function(word, entry, entry.check(word, arguments))
+    entry.check(name.upper(), len(arguments))
+    return Function(name.upper(), entry, arguments)
 
 
 def _line(word: str, *arguments: Tree, modifiers: tuple[str, ...] = ()) -> Line:
     word = word.upper()
-    reason = REFUSED.get(word.rstrip("()="))
-    if reason is not None:
-        raise SyntaxError(f"{word} is not there: {reason}")
+    if word.rstrip("()=") in REFUSED:
+        raise SyntaxError(f"{word} is not there: {REFUSED[word.rstrip('()=')]}")
     entry = INSTRUCTIONS.get(word)
     if entry is None:
         raise SyntaxError("*Unknown instruction*")
-    return Line(word, entry, entry.check(word, arguments), modifiers)
+    entry.check(word, len(arguments))
+    return Line(word, entry, arguments, modifiers)
 
 
 @v_args(inline=True)
 class _Builder(Transformer[Any]):
-    """Makes the trees, rule by rule and terminal by terminal of the grammar."""
+    """Makes the trees, rule by rule of the grammar."""
 
-    INTEGER = float
-    NUMBER = staticmethod(number_of)
-    signed = neg
+    def number(self, token: str) -> Any:
+        if token[0] == "'":
+            return float(ord(token[1]))
+        if token[0] == "^":
+            return float(int(token[2:], _BASES[token[1].upper()]))
+        return bounded(float(token))
 
-    def CHARACTER(self, token: str) -> float:  # noqa: N802  # a terminal
-        return float(ord(token[1]))
+    def integer(self, token: str) -> float:
+        return float(token)
 
-    def STRING(self, token: str) -> str:  # noqa: N802
+    def signed(self, number: float) -> float:
+        return -number
+
+    def text(self, token: str) -> str:
         return str(token[1:-1])
 
-    def FORMAT(self, token: str) -> Format:  # noqa: N802
+    def format(self, token: str) -> Format:
         return Format(token[1:].upper())
 
-    def listed(self, *parts: Any) -> tuple[Any, ...]:
+    def modifier(self, token: str) -> str:
+        return token.upper()
+
+    def parts(self, *parts: Tree) -> tuple[Tree, ...]:
         return parts
+
+    def late_parts(self, *parts: Tree) -> tuple[Tree, ...]:
+        return (None, *parts)
 
     def reference(self, name: str, index: Any) -> Tree:
         entry = FUNCTIONS.get(name.upper())
@@ -87,7 +98,7 @@ class _Builder(Transformer[Any]):
         return _function(name) if is_function else Reference(plain_name(name), index)
 
     def function(self, name: str, arguments: Any) -> Tree:
-        return _function(name, *arguments)
+        return _function(name, *(arguments or ()))
 
     def operation(self, left: Tree, sign: str, right: Tree) -> Tree:
         return _function(sign, left, right)
@@ -100,27 +111,32 @@ class _Builder(Transformer[Any]):
             raise SyntaxError(f"{target.name.lower()} is a reserved word")
         return _line("=", value, target)
 
-    def command(self, word: str, arguments: Any, modifiers: Any) -> Line:
-        return _line(word, *arguments, modifiers=tuple(map(str.upper, modifiers)))
+    def command(self, word: str, arguments: Any, *modifiers: str) -> Line:
+        return _line(word, *(arguments or ()), modifiers=modifiers)
 
-    def setting(self, word: str, target: Tree, value: Tree) -> Line:
-        return _line(f"{word}=", value, target)
+    def setting(self, word: str, arguments: Any, value: Tree) -> Line:
+        return _line(f"{word}=", value, *arguments)
 
     def unit_command(self, word: str, unit: Any, arguments: Any) -> Line:
-        return _line(f"{word}()", unit[0], *arguments)
+        return _line(f"{word}()", (unit or [None])[0], *(arguments or ()))
 
-    declaration = staticmethod(_line)
+    def declaration(self, word: str, _: str, *names: Tree) -> Line:
+        return _line(word, *names)
 
-    def call(self, name: Tree, arguments: Any) -> Line:
-        return _line("CALL", name, *(arguments or ()))
+    def call(self, name: str, arguments: Any) -> Line:
+        return _line("CALL", plain_name(name), *(arguments or ()))
 
-    def step(self, label: float | None, line: Any = None) -> tuple[float | None, Line | None]:
-        if isinstance(line, Rule):  # an instruction of control: its word is the name of the rule
-            line = _line(line.data.strip("_"), *line.children)
-        return label, line
+    def calls(self, name: Tree, arguments: Any) -> Line:
+        return _line("CALLS", name, *(arguments or ()))
+
+    def step(self, label: str | None, line: Any = None) -> tuple[int, Line | None]:
+        if isinstance(line, Rule):  # an instruction of control: its word is in the name of the rule
+            parts: list[Any] = line.children
+            line = _line(str(line.data).strip("_"), *parts)
+        return int(label[:9]) if label else -1, line
 
     def header(self, name: str, parameters: Any) -> Program:
-        names = tuple(parameter.name for parameter in parameters or () if parameter is not None)
+        names = tuple(parameter.name for parameter in parameters or ())
         return Program(plain_name(name), names, automatic=set(names))
 
     def datum(self, place: Reference, *parts: Any) -> tuple[Reference, Any]:
@@ -150,9 +166,8 @@ def parse(text: str, start: str, logic_first: bool = True) -> Any:
     try:
         return _parser("logic_first" if logic_first else "relations_first").parse(text, start=start)
     except UnexpectedInput as error:
-        is_at_end = isinstance(error, UnexpectedToken) and error.token.type == "$END"
-        left = text[error.column - 1 :][:20]
-        raise SyntaxError("the line ends too early" if is_at_end else f"{left!r} is not expected") from None
+        left = "" if "$END" in str(error).partition("\n")[0] else text[error.column - 1 :][:20]
+        raise SyntaxError(f"{left!r} is not expected" if left.strip() else "the line ends too early") from None
     except (LarkError, VplusError) as error:
         raise SyntaxError(str(error)) from None
 
@@ -164,7 +179,7 @@ def parse_line(text: str) -> Line:
         SyntaxError: saying what the line has and where, also if it has no instruction.
     """
     label, line = parse(text, "step")
-    if label is not None or line is None:
+    if label >= 0 or line is None:
         raise SyntaxError("*Missing argument*")
     return line  # type: ignore[no-any-return]  # of the parser
 
@@ -183,7 +198,12 @@ def load_programs(place: Path | str, readings: Readings | None = None) -> Memory
     faults: list[str] = []
     warnings: list[str] = []
     for file in _files(Path(place)):
-        reader = read(read_bytes(file).decode("latin-1"), memory)
+        try:
+            if file.stat().st_size > _LARGEST_FILE:
+                raise ConfigError(f"{plain(file)}: more than {_LARGEST_FILE:,} bytes; accepted: a file of V+")
+            reader = read(file.read_text(encoding="latin-1"), memory)
+        except OSError as error:
+            raise ConfigError(f"{plain(file)}: {error.strerror}; accepted: a file of V+") from error
         faults += [f"{plain(file)}:{line}: {fault}" for line, fault in reader.faults]
         warnings += [f"{plain(file)}:{line}: {warning}" for line, warning in reader.warnings]
     faults += [f"{plain(place)}: {fault}" for fault in _call_faults(memory)]
@@ -211,7 +231,7 @@ def read(content: str, memory: Memory) -> Reader:
             reader.take(text)
         except (SyntaxError, VplusError, RecursionError) as error:
             reader.note(f"{quoted(text.strip()[:60])}: {error}")
-    reader.close()
+    reader.close(".END")
     return reader
 
 
@@ -232,8 +252,8 @@ class Reader:
         self.line = 0
         self.faults: list[tuple[int, str]] = []
         self.warnings: list[tuple[int, str]] = []
+        self._program: Program | None = None
         self._section = ""
-        self._program = Program()
 
     def note(self, fault: str) -> None:
         """Note a fault of the present line."""
@@ -250,32 +270,38 @@ class Reader:
         if head.startswith(".END"):
             if not self._section:
                 self.note(".END without a program")
-            self._section = ""
-            self.faults += _resolve(self._program)
-            self._program = Program()
-        elif head in (".PROGRAM", *_DATA):
-            self.close()
+            self._finish()
+        elif head in (".PROGRAM", ".LOCATIONS", ".REALS", ".STRINGS"):
+            self.close(head)
             self._section = head
             if head == ".PROGRAM":
+                self._program = Program()
                 self._program = parse(code, "header")
                 if self._program.name in self.memory.programs:
                     self.note(f"program {self._program.name} stands twice")
-                self.memory.programs[self._program.name] = self._program
-        elif self._section == ".PROGRAM":
+        elif self._program is not None:
             self._program.text.append(text)
             self._take_step(self._program, code)
         elif code and code[0] != ";":
             if not self._section:
                 raise SyntaxError("outside of a program; accepted: .PROGRAM name(...)")
             place, value = parse(code, "datum")
-            index = tuple(int(part) for part in place.index or ())
+            index = tuple(int(part) for part in place.index or () if part is not None)
             element(self.memory.variables, place.name, index).store(value)
 
-    def close(self) -> None:
-        """Note a fault if a section has no .END of its own."""
+    def close(self, head: str) -> None:
+        """End what has no .END of its own, with a fault."""
         if self._section:
-            self.note(f"the .END of {self._section} {self._program.name} is missing")
-            self.take(".END")
+            self.note(f"{head} in {self._section}: its .END is missing")
+        self._finish()
+
+    def _finish(self) -> None:
+        if self._program is not None:
+            self.faults += _resolve(self._program)
+            if self._program.name:
+                self.memory.programs[self._program.name] = self._program
+        self._program = None
+        self._section = ""
 
     def _take_step(self, program: Program, code: str) -> None:
         place = len(program.steps)
@@ -283,16 +309,16 @@ class Reader:
         program.steps.append(step)
         logic_first = self.memory.readings.logic_before_relations
         label, instruction = parse(code, "step", logic_first)
-        if label is not None:
+        if label >= 0:
             if label > _LARGEST_LABEL or label in program.labels:
-                self.note(f"label {label:g}; accepted: each once, 0 to {_LARGEST_LABEL}")
+                self.note(f"label {label}; accepted: each once, 0 to {_LARGEST_LABEL}")
             program.labels[label] = place
         if instruction is None:
             return
-        if instruction.word in _DECLARATIONS:
-            self._declare(program, instruction)
         step.instruction = instruction
         step.word = instruction.word
+        if step.word in _DECLARATIONS:
+            self._declare(program, instruction)
         if parse(code, "step", not logic_first) != (label, instruction):
             reading = "read by logic_before_relations (docs/reference/vplus.md)"
             self.warnings.append((self.line, f"a comparison beside AND, OR or XOR without brackets; {reading}"))
@@ -319,7 +345,7 @@ def _resolve(program: Program) -> Iterator[tuple[int, str]]:
     steps = program.steps
     blocks: list[int] = []
     for place, step in enumerate(steps):
-        number = next(reversed(step.instruction.arguments), 1.0) if step.instruction is not None else 1.0
+        number = step.instruction.arguments[-1:] if step.instruction is not None else ()
         if step.word in _INSIDE:
             blocks.append(place)
         elif step.word in ("ELSE", "VALUE", "ANY", "END", "UNTIL"):
@@ -332,15 +358,15 @@ def _resolve(program: Program) -> Iterator[tuple[int, str]]:
                 _close(steps, blocks.pop(), place)
         elif step.word in ("EXIT", "NEXT"):
             loops = [start for start in blocks if steps[start].word in _LOOPS]
-            count = int(number)
+            count = int(number[0] or 1)
             if not 1 <= count <= len(loops):
                 yield step.line, f"{step.word} {count} within {len(loops)} loops"
                 continue
             steps[loops[-count]].branches.append(place)
         elif step.word in ("GOTO", "IF_GOTO"):
-            if number not in program.labels:
-                yield step.line, f"there is no label {number:g}"
-            step.target = program.labels.get(number, 0)
+            if number[0] not in program.labels:
+                yield step.line, f"there is no label {number[0]:g}"
+            step.target = program.labels.get(int(number[0]), 0)
     for start in blocks:
         word = steps[start].word
         yield steps[start].line, f"{word.partition('_')[0]} without {_INSIDE[word][-1]}"
@@ -363,7 +389,7 @@ def _call_faults(memory: Memory) -> Iterator[str]:
     for program in memory.programs.values():
         for step in program.steps:
             name, *given = step.instruction.arguments if step.instruction and step.word == "CALL" else ("",)
-            called = memory.programs.get(plain_name(str(name)))
+            called = memory.programs.get(str(name))
             if called is not None and len(given) > len(called.parameters):
                 accepted = f"accepted: up to {len(called.parameters)}"
                 yield f"line {step.line}: {called.name} is called with {len(given)} arguments; {accepted}"

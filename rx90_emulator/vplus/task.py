@@ -40,7 +40,7 @@ _TYPES: Final[dict[str, Any]] = {
     "name": str,
     "place": np.ndarray,
     "location": (np.ndarray, Joints),
-    "real|string": (float, str),
+    "plain": (float, str),
     "folded": (float, str),
     "any": object,
 }
@@ -87,11 +87,13 @@ class Reaction:
 
     Attributes:
         program: its name.
+        priority: above that of what runs, or it waits.
         stops: whether it ends the motion under way.
         was: how the signal was.
     """
 
     program: str
+    priority: float
     stops: bool
     was: bool
 
@@ -115,7 +117,9 @@ class Task:
         hand_time: s that the hand takes.
         timers: the time at which each TIMER was 0, s.
         reactions: by signal.
-        reacts: whether a reaction runs; others wait for its end.
+        lock: priority up to which reactions wait.
+        on_error: the program that an error calls; empty for none.
+        error: number of the newest error.
         lot: the source of RANDOM.
         halted: whether HALT has ended the program for good.
         frames: the programs within each other.
@@ -138,7 +142,9 @@ class Task:
         self.hand_time = 0.05
         self.timers: dict[int, float] = {}
         self.reactions: dict[int, Reaction] = {}
-        self.reacts = False
+        self.lock = 0.0
+        self.on_error = ""
+        self.error = 0
         self.lot = random.Random(0)
         self.halted = False
         self.frames: list[Frame] = []
@@ -182,7 +188,7 @@ class Task:
             raise VplusError("Not enough program stack space", f"{_DEEPEST} calls within each other")
         scope: Scope = {}
         for parameter, argument in zip(program.parameters, arguments, strict=False):
-            if isinstance(argument, Reference) and set(argument.index or ()) == {None}:
+            if isinstance(argument, Reference) and argument.index and not any(map(_is_given, argument.index)):
                 scope[parameter] = self.table(argument)
             elif isinstance(argument, Reference):
                 scope[parameter] = {(): self.cell_of(argument)}
@@ -219,10 +225,8 @@ class Task:
                 self._steps = 0
             try:
                 yield from self._do()
-            except RecursionError:
-                raise self._stopped(VplusError("Expression too complex")) from None
-            except VplusError as error:
-                raise self._stopped(error) from None
+            except (VplusError, RecursionError) as error:
+                self._fail(error, frame)
 
     def _do(self) -> Waits:
         """Carry out a step, and react to signals behind it."""
@@ -233,12 +237,18 @@ class Task:
                 yield from waits
             yield from self._react()
 
-    def _stopped(self, error: VplusError) -> VplusError:
-        """Return an error with the place where it stops the program."""
-        name = self.frame.program.name
-        step = self.frame.place
-        error.where = error.where or f"Program task 0 stopped at {name}, step {step}, line {self.step.line}"
-        return error
+    def _fail(self, error: VplusError | RecursionError, frame: Frame) -> None:
+        """Call the program that an error calls, or end with the error."""
+        if isinstance(error, RecursionError):
+            error = VplusError("Expression too complex")
+        self.error = error.number
+        if error.where or not self.on_error:
+            place = f"{frame.program.name}, step {frame.place}, line {self.step.line}"
+            error.where = error.where or f"Program task 0 stopped at {place}"
+            raise error from None
+        routine = self.on_error
+        self.on_error = ""
+        self.call(routine)
 
     def until(self, condition: Callable[[], bool], what: str) -> Waits:
         """Wait until a condition holds, and react to signals meanwhile."""
@@ -247,20 +257,22 @@ class Task:
             yield from self._react()
 
     def _react(self) -> Waits:
-        """Call the programs of signals that have gone on."""
-        for signal, reaction in [] if self.reacts else [*self.reactions.items()]:
-            was_on = reaction.was
-            reaction.was = self.cell.is_on(signal)
-            if reaction.was and not was_on:
+        """Call the programs of signals that have changed, if their priority lets them."""
+        for signal, reaction in [*self.reactions.items()]:
+            now = self.cell.is_on(signal)
+            due = now and not reaction.was
+            if due and reaction.priority <= self.lock:
+                continue  # later
+            reaction.was = now
+            if due:
                 if reaction.stops:
                     self.queue.stop()
-                step = self.step
+                before = self.step, self.lock
+                self.lock = reaction.priority
                 depth = len(self.frames)
-                self.reacts = True
                 self.call(reaction.program)
                 yield from self.walk(depth)
-                self.reacts = False
-                self.step = step
+                self.step, self.lock = before
 
     # Variables and values.
 
@@ -330,7 +342,7 @@ class Task:
 
         Args:
             kind: `real`, `integer`, `percent`, `seconds`, `joint`, `text`, `place` (a transformation), `location` (that
-                or a precision point), `real|string`, `folded` (the same, as comparisons see it),
+                or a precision point), `plain` (a real or a string), `folded` (the same, as comparisons see it),
                 `variable` (its cell), `name` (in upper case), `tree` (no value), `any`; with `?` or `*` behind it.
             argument: None where it is left out.
 
@@ -365,24 +377,29 @@ class Task:
         """Return where the tool is in the world at joint angles, rad, shape (6,)."""
         return self._stand @ self.arm.flange(q) @ self.tool
 
-    def angles(self, location: Array | Joints, *, keep: bool = False) -> Array:
-        """Return the joint angles, rad, shape (6,), at which the tool is at a location.
+    def solve(self, place: Array, *, keep: bool = False) -> Array:
+        """Return the joint angles, rad, shape (6,), at which the tool is at a place in the world.
 
         Args:
-            location: in the world, mm; or a precision point.
+            place: mm.
             keep: whether the configuration stays what it is at the end of the newest motion.
 
         Raises:
             VplusError: if there are none.
         """
-        if isinstance(location, Joints):
-            return self.arm.angles(location)
         present = self.arm.posture(self.queue.destination)
-        is_above = (present.elbow == "positive") == (present.shoulder == "front")
         wanted = {} if keep else self.wanted
         shoulder = wanted.get("shoulder", present.shoulder)
-        above = wanted.get("elbow", "above" if is_above else "below")
+        above = wanted.get("elbow", "above" if _is_above(present) else "below")
         elbow = "positive" if (above == "above") == (shoulder == "front") else "negative"
         posture = Branch(shoulder, elbow, wanted.get("wrist", present.wrist))
-        flange = inverse(self._stand) @ location @ inverse(self.tool)
+        flange = inverse(self._stand) @ place @ inverse(self.tool)
         return self.arm.solve_target(flange, posture, self.queue.destination)
+
+
+def _is_given(tree: Tree) -> bool:
+    return tree is not None
+
+
+def _is_above(posture: Branch) -> bool:
+    return (posture.elbow == "positive") == (posture.shoulder == "front")

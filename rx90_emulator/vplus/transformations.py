@@ -5,18 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.rotations import axis_rotation
 
-_Z = np.array([0.0, 0.0, 1.0])
+_X, _Y, _Z = np.eye(3)
 _SMALLEST = 1e-9
-_UPRIGHT = 1.2e-4
-"""Sine of the pitch below which yaw and roll are about one axis: the yaw is 0 then, and the roll has all.
-
-As large as a recording of a real arm lets it be, which shows 179.999 0.008 179.995 at a sine of 1.4e-4.
-"""
+_UPRIGHT = 5e-6
+"""Sine of the pitch below which yaw and roll are about one axis: the yaw is 0 then, and the roll has all."""
 
 
 def placed(rotation: Array, position: Array) -> Array:
@@ -24,19 +20,28 @@ def placed(rotation: Array, position: Array) -> Array:
     return np.block([[rotation, position[:, None]], [0.0, 0.0, 0.0, 1.0]])
 
 
+def turned(axis: Array, degrees: float) -> Array:
+    """Return the transformation that turns about a unit vector."""
+    return placed(axis_rotation(axis, math.radians(degrees)), np.zeros(3))
+
+
 def trans(*numbers: float | None) -> Array:
     """Return the transformation of x, y, z, yaw, pitch and roll; what is left out is 0."""
-    given = np.array([*(number or 0.0 for number in numbers), *[0.0] * 6][:6])
-    return placed(Rotation.from_euler("ZYZ", given[3:], degrees=True).as_matrix(), given[:3])
+    x, y, z, yaw, pitch, roll = [*(number or 0.0 for number in numbers), *[0.0] * 6][:6]
+    place = turned(_Z, yaw) @ turned(_Y, pitch) @ turned(_Z, roll)
+    place[:3, 3] = x, y, z
+    return place
 
 
 def six_numbers(place: Array) -> tuple[float, ...]:
     """Return x, y, z, yaw, pitch in 0 to 180, roll."""
-    sine = math.hypot(place[0, 2], place[1, 2])
-    yaw = math.atan2(place[1, 2], place[0, 2]) if sine > _UPRIGHT else 0.0
-    level = axis_rotation(_Z, -yaw) @ place[:3, :3]
-    roll = math.atan2(level[1, 0], level[1, 1])
-    return (*place[:3, 3].tolist(), *map(math.degrees, (yaw, math.atan2(sine, place[2, 2]), roll)))
+    yaw = 0.0
+    if math.hypot(place[0, 2], place[1, 2]) > _UPRIGHT:
+        yaw = math.degrees(math.atan2(place[1, 2], place[0, 2]))
+    level = turned(_Z, -yaw) @ place
+    pitch = math.degrees(math.atan2(abs(level[0, 2]), level[2, 2]))
+    roll = math.degrees(math.atan2(level[1, 0], level[1, 1]))
+    return (*place[:3, 3].tolist(), yaw, pitch, roll)
 
 
 def inverse(place: Array) -> Array:

@@ -48,20 +48,16 @@ class Entry:
     action: Callable[..., Any]
     of_task: bool = True
 
-    def check(self, word: str, arguments: tuple[Tree, ...]) -> tuple[Tree, ...]:
-        """Return the arguments without those that are left out at the end.
+    def check(self, word: str, given: int) -> None:
+        """Check how many arguments are given.
 
         Raises:
-            SyntaxError: saying how many are accepted.
+            SyntaxError: saying which are accepted.
         """
-        given = len(arguments)
-        while given and arguments[given - 1] is None:
-            given -= 1
         least = sum(kind[-1] not in "?*" for kind in self.kinds)
         has_more = "*" in "".join(self.kinds)
         if given < least or (given > len(self.kinds) and not has_more):
             raise SyntaxError(f"{word} has {given} arguments; accepted: {' '.join(self.kinds) or 'none'}")
-        return arguments[:given]
 
 
 def entries(kinds: str, actions: dict[str, Callable[..., Any]], *, of_task: bool) -> dict[str, Entry]:
@@ -163,7 +159,7 @@ class Program:
     name: str = ""
     parameters: tuple[str, ...] = ()
     steps: list[Step] = field(default_factory=list)
-    labels: dict[float, int] = field(default_factory=dict)
+    labels: dict[int, int] = field(default_factory=dict)
     automatic: set[str] = field(default_factory=set)
     lasting: set[str] = field(default_factory=set)
     local: Scope = field(default_factory=dict)

@@ -7,7 +7,6 @@ both are from memory of the manuals, and every message says so of its number.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
@@ -31,8 +30,6 @@ NUMBERS: Final = {
     "Soft envelope error": -1006,
     "Position out of range": -1023,
 }
-_NUMBER: Final = re.compile(r"\s*(?:\^([BOH])([0-9A-F]+)|([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?))")
-_BASES: Final = {"B": 2, "O": 8, "H": 16}
 _LARGEST_INDEX = 32767
 _LARGEST = 1e38
 _LONGEST = 128
@@ -117,19 +114,6 @@ def bounded(result: object) -> Value:
     if isinstance(result, str) and len(result) > _LONGEST:
         raise VplusError("String too long", f"{len(result)} characters; accepted: up to {_LONGEST}")
     return result  # type: ignore[return-value]  # functions give values of V+
-
-
-def number_of(text: str) -> float:
-    """Return the number that a text begins with, 0 if there is none.
-
-    Raises:
-        VplusError: if it is too large.
-    """
-    match = _NUMBER.match(text.upper())
-    if match is None:
-        return 0.0
-    digits = match[3]
-    return bounded(float(digits) if digits else float(int(match[2], _BASES[match[1]])))  # type: ignore[return-value]
 
 
 @dataclass

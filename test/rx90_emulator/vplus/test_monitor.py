@@ -111,12 +111,13 @@ def test_a_program_is_edited_run_stored_and_loaded(talk: Talk) -> None:
 
 
 def test_a_program_asks_and_goes_on_where_it_stopped(talk: Talk) -> None:
-    """PROMPT waits for a line; PROCEED goes on behind the step that an error or PAUSE has stopped."""
-    for line in ("EDIT p", 'PROMPT "name? ", $n', "x = y", "TYPE $n, 5", "PAUSE", 'TYPE "end"', "E"):
+    """PROMPT waits for a line; RETRY does the step that failed once more, PROCEED goes on behind it."""
+    for line in ("EDIT p", 'PROMPT "name? ", $n', "TYPE $n, x", "PAUSE", 'TYPE "end"', "E"):
         talk(line)
     assert talk("exec p", 3).endswith("name? ")
     assert "*Undefined value*" in talk("Ann", 3)
-    assert "Ann 5\r\n\r\n*Program paused*" in talk("proceed", 3)
+    talk("do x = 5")
+    assert "Ann 5\r\n\r\n*Program paused*" in talk("retry", 3)
     assert "end\r\n\r\nProgram completed" in talk("proceed", 3)
 
 
