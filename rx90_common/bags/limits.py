@@ -21,7 +21,7 @@ MAX_MESSAGE_BYTES: Final = 16 << 20
 _MAX_WHOLE_BYTES = 256 << 20  # of all parts of a file, or
 _MAX_WHOLE_FACTOR = 50  # times its size
 _MAX_ARRAYS_FACTOR = 4
-_COPY_BYTES = 1 << 20
+_COPY_BYTES = 1_048_576
 
 
 class DamagedError(BagError):

@@ -364,7 +364,7 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
     meant: set[Place] = set()
     for fault, place in faults:
         around = schema_at(schema, place[:-1], content).get("properties", {})
-        given = value_at(content, place[:-1])
+        given = value_at(content, place[:-1]) or {}
         if fault["type"] == _UNKNOWN_KEY:
             near = nearest(str(place[-1]), (key for key in around if not _holds(given, key)))
             meant.add((*place[:-1], near))

@@ -10,7 +10,7 @@ from rx90_common.base.quoting import plain
 
 MAX_BYTES = 16 << 20
 _MAX_LINES = 500_000
-_MAX_CHARACTERS = 1 << 16  # in a line
+_MAX_CHARACTERS = 65_536  # in a line
 
 
 def read_bytes(file: Path, most: int = MAX_BYTES) -> bytes:

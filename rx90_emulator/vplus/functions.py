@@ -63,7 +63,8 @@ def _shown(number: Value, style: str) -> str:
         shown = f"{round(number):{width}{_CODES[match[1]]}}"
     else:
         places = int(match[3] or 0)
-        seen = number if abs(number) >= 0.5 * 10.0**-places else 0.0  # the sign of zero would show
+        least = 0.5 * 10.0**-places if match[1] == "F" else 0.0
+        seen = number if abs(number) > least else 0.0  # the sign of zero would show
         shown = f"{seen:{width}.{places}{match[1]}}"
     return "*" * width if width and len(shown) > width else shown
 

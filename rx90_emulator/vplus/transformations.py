@@ -11,8 +11,11 @@ from rx90_common.description.rotations import axis_rotation
 
 _X, _Y, _Z = np.eye(3)
 _SMALLEST = 1e-9
-_UPRIGHT = 5e-6
-"""Sine of the pitch below which yaw and roll are about one axis: the yaw is 0 then, and the roll has all."""
+_UPRIGHT = 1.25e-4
+"""Sine of the pitch below which yaw and roll are about one axis: the yaw is 0 then, and the roll has all.
+
+A recording of an arm that stands up shows yaw and roll apart at 0.008 degrees, 1.4e-4.
+"""
 
 
 def placed(rotation: Array, position: Array) -> Array:

@@ -119,7 +119,9 @@ def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, c
     client.spin_until(lambda: max(map(abs, joints[-1].effort)) > 10.0, "the drives to hold the arm")
     client.enable(False)
     client.spin_until(lambda: bool(commands) and len(commands[-1].effort) == 0, "commands without torque")
-    closed, held = seconds(commands[-1]), joints[-1].position[1]
+    closed = seconds(commands[-1])
+    client.spin_until(lambda: seconds(joints[-1]) > closed, "a state behind the closing of the brakes")
+    held = joints[-1].position[1]
     client.spin_until(lambda: seconds(joints[-1]) > closed + 0.1, "a tenth of a second with closed brakes")
     assert list(joints[-1].effort) == [0.0] * 6
     # The brakes' stiffness lets the arm give by far less than a tenth of a milliradian.

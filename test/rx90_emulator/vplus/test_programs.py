@@ -23,8 +23,9 @@ from rx90_emulator.loop.setup import Setup
 from rx90_emulator.vplus.cell import Change, load_inputs
 from rx90_emulator.vplus.program import load_programs, read
 from rx90_emulator.vplus.run import Options, ProgramRun, run_program
+from rx90_emulator.vplus.transformations import six_numbers
 from rx90_emulator.vplus.tree import Memory, Readings
-from rx90_emulator.vplus.values import LoadError
+from rx90_emulator.vplus.values import Joints, LoadError
 
 CASES = Path(__file__).parents[2] / "reference/vplus"
 EXPECTED: dict[str, Any] = yaml.safe_load((CASES / "expected.yaml").read_text(encoding="utf-8"))
@@ -349,3 +350,16 @@ def test_random_bytes_and_a_line_of_ten_megabytes_are_refused(tmp_path: Path) ->
         with pytest.raises(LoadError) as refusal:
             load_programs(file)
         assert len(str(refusal.value)) < 1000
+
+
+def test_the_yaw_of_a_tool_that_looks_down_stays_along_a_motion(shipped: Setup) -> None:
+    """It is 0, by set-points on a line and where the arm stands; a real arm's recording is a plain decomposition."""
+    lines = "MOVE TRANS(500,-100,100,0,180,30)\nBREAK\nDECOMPOSE a[0] = HERE\nTYPE /F6.1, a[3], a[5], /E9.1, 0.002\n"
+    done = ran(shipped, lines + "SPEED 100 MMPS\nMOVES TRANS(500,100,100,0,180,0)\nBREAK")
+    assert shown(done) == ["   0.0  30.0  2.0E-03"]
+    assert done.result is not None
+    numbers = np.array([six_numbers(done.cell.arm.flange(q)) for q in done.result.slow.reference[-2500:-300:50, 0]])
+    assert np.abs(numbers[:, 3]).max() == 0.0
+    assert (np.diff(numbers[:, 5]) < 1e-6).all()  # from 30 to 0
+    recorded = done.cell.arm.flange(done.cell.arm.angles(Joints([0.0, -90.001, 89.993, 0.0, 0.0, -0.005])))
+    assert six_numbers(recorded)[3:] == pytest.approx([180.0, 0.008, 179.995], abs=1e-6)
