@@ -44,6 +44,7 @@ FAULTS: list[tuple[dict[str, Any], list[str]]] = [
     ({"stiffness": float("nan")}, ["stiffness is nan; accepted: a finite number > 0"]),
     ({"stifness": 3}, ["stifness is not a known key (did you mean stiffness?); accepted: stiffness, damping, kind"]),
     ({"stiffness": 1, "damping": 2}, ["damping is 2.0; accepted: up to the stiffness"]),
+    ({"stiffness": 1, "kind": {"share": [1]}}, ["kind.kind is missing; accepted: one of plastic, slip"]),
     ({"stiffness": 1, "kind": {"kind": "soft"}}, ["kind.kind is 'soft'; accepted: one of plastic, slip"]),
     (
         {"stiffness": -1, "kind": {"kind": "slip", "share": [1, 2, 3]}},
@@ -58,6 +59,7 @@ def test_each_fault_is_one_line(content: dict[str, Any], lines: list[str]) -> No
     with pytest.raises(ValidationError) as caught:
         Bristle.model_validate(content)
     assert fault_lines(Bristle, caught.value, "", content) == lines
+    assert len(fault_lines(Bristle, caught.value, "")) == len(lines)  # of values that are not at hand
 
 
 def test_a_file_gives_its_values_and_its_provenance(tmp_path) -> None:
