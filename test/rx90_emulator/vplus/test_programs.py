@@ -163,17 +163,11 @@ def test_a_reading_changes_how_and_binds_and_is_warned_of(shipped: Setup) -> Non
         ),
         ("VPICTURE (1)\nALTER () 1\nNONSENSE 3", ["vision is not emulated", "ALTER needs", "*Unknown instruction*"]),
         ("x = 1\nAUTO y", ["stands behind an executable line"]),
-        (
-            "x = (1\nto = 3\nx = 1 +",
-            ["2: 'x = (1': the line ends", "to is a reserved word", "'x = 1 +': the line ends"],
-        ),
+        ("x = (1\nto = 3\nx = 1 +", ["2: 'x = (1': the line ends", "to is a reserved word", "'x = 1 +': the"]),
         ("TYPE " + "-" * 240 + "1", []),  # a fault or none, by the interpreter's depth, and no RecursionError
         ("TYPE " + "1+" * 5000 + "1", ["a line of 10006 characters; accepted: up to 255"]),
         (".END\nnonsense", [".END without a program", "'nonsense': outside of a program", ".END without a program"]),
-        (
-            ".END\n.LOCATIONS\np 1 2 3\n.END\n.REALS\nx nan",
-            ["3 numbers; accepted: 1, or 6", "'nan' is not expected"],
-        ),
+        (".END\n.LOCATIONS\np 1 2 3\n.END\n.REALS\nx nan", ["3 numbers; accepted: 1, or 6", "'nan' is not"]),
     ],
 )
 def test_all_faults_of_a_file_are_found_with_their_lines(text: str, faults: list[str]) -> None:
