@@ -79,8 +79,9 @@ class Model(BaseModel):
         Raises:
             ConfigError: naming the value and what is accepted.
         """
-        with refusals(type(self)):
-            return type(self).model_validate(_with_changes(self, changes))
+        content = _with_changes(self, changes)
+        with refusals(type(self), content=content):
+            return type(self).model_validate(content)
 
 
 def _with_changes(model: Model, changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -395,7 +396,7 @@ def accepted_values(schema: JsonSchema, root: JsonSchema | None = None) -> str:
     """
     schema = _resolved(schema, root or {})
     alternatives = schema.get("anyOf") or schema.get("oneOf") or ()
-    kinds: list[JsonSchema] = [kind for kind in alternatives if kind.get("type") != "null"]
+    kinds = [kind for kind in alternatives if kind.get("type") != "null"]
     kind = str(schema.get("type", ""))
     if "accepted" in schema:
         words = str(schema["accepted"])
@@ -531,9 +532,8 @@ def _meant(schema: JsonSchema, root: JsonSchema, value: Any) -> JsonSchema:
     kinds: list[JsonSchema] = [_meant(kind, root, value) for kind in alternatives if kind != _NULL]
     if "properties" in schema or not kinds or (len(kinds) > 1 and not isinstance(value, Mapping)):
         return schema
-    words = {key: schema[key] for key in _OF_ALL_KINDS if key in schema}
     likest = max(kinds, key=lambda kind: _likeness(kind, value))
-    return {**likest, **words}
+    return likest | {key: schema[key] for key in _OF_ALL_KINDS if key in schema}
 
 
 def _likeness(schema: JsonSchema, value: Any) -> tuple[bool, bool, int]:

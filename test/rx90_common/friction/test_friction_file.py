@@ -119,6 +119,8 @@ def test_parts_leave_less_to_the_passivity_limit(shipped: Setup) -> None:
     assert element.replaced(load=LoadPart(driving=0.1, driven=0.2)).passive_damping(speed) == whole
     parted = element.replaced(ripple=ripple, scatter=scatter)
     assert parted.passive_damping(speed) == pytest.approx(0.7 * 0.8 * whole, rel=1e-12)
+    with pytest.raises(ConfigError, match=r"^bristles\.kind is missing; accepted: one of"):
+        element.replaced(bristles={"count": 3})
 
 
 def test_velocities_that_can_hardly_be_divided_by() -> None:
