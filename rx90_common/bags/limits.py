@@ -27,6 +27,9 @@ _COPY_BYTES = 1_048_576
 class DamagedError(BagError):
     """A file contradicts itself; the text names the place, and who opened the file prefixes its name."""
 
+    def __str__(self) -> str:
+        return f"is damaged: {super().__str__()}"
+
 
 @contextmanager
 def library_errors(where: str = "") -> Iterator[None]:
@@ -39,13 +42,13 @@ def library_errors(where: str = "") -> Iterator[None]:
         if isinstance(error, OSError) and error.strerror:
             raise BagError(f"cannot be read ({error.strerror})") from error
         text = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
-        raise DamagedError(f"is damaged: {plain(where + text, 300)}") from error
+        raise DamagedError(plain(where + text, 300)) from error
 
 
 def check_length(noun: str, length: int, most: int) -> None:
     """Refuse what would unpack to more bytes than that, before it is unpacked."""
     if length > most:
-        raise DamagedError(f"is damaged: {noun}: {length:,} bytes unpacked; accepted: up to {most:,}")
+        raise DamagedError(f"{noun}: {length:,} bytes unpacked; accepted: up to {most:,}")
 
 
 def check_whole(path: Path, noun: str, length: int, factor: int = _MAX_WHOLE_FACTOR) -> None:
@@ -95,5 +98,5 @@ def unpack_message(content: bytes) -> bytes:
     with library_errors("a compressed message: "):
         data = frame.decompress(content, MAX_MESSAGE_BYTES)
     if not frame.eof:
-        raise DamagedError(f"is damaged: a compressed message is cut off, or longer than {MAX_MESSAGE_BYTES:,} bytes")
+        raise DamagedError(f"a compressed message is cut off, or longer than {MAX_MESSAGE_BYTES:,} bytes")
     return data

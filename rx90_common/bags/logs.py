@@ -227,11 +227,10 @@ def _lines_of(path: Path) -> tuple[pa.StringArray, Int64Array, list[str]]:
 def _text_columns(path: Path, mapping: LogMapping) -> _Table:
     """Return columns of texts: what is no number is told by row."""
     lines, numbers, comments = _lines_of(path)
-    looked_at = lines[:_LOOKED_AT].to_pylist()
-    delimiter, decimal = _dialect(looked_at, mapping)
+    delimiter, decimal = _dialect(lines[:_LOOKED_AT].to_pylist(), mapping)
     if delimiter == " ":
         lines = pc.utf8_trim_whitespace(pc.replace_substring_regex(lines, r"\s+", " "))
-    beginning = [_split(" ".join(line.split()) if delimiter == " " else line, delimiter) for line in looked_at]
+    beginning = [_split(line, delimiter) for line in lines[:_LOOKED_AT].to_pylist()]
     head = mapping.header
     if head is None:  # the lines before the first one that holds a number
         head = next((k for k, row in enumerate(beginning) if _has_number(row, decimal)), len(beginning))
@@ -255,9 +254,9 @@ def _text_columns(path: Path, mapping: LogMapping) -> _Table:
         torn.append(head + row.number - 1)
         return "skip"
 
-    rows = pa.ListArray.from_arrays([0, len(lines) - head], lines[head:])
-    whole = pc.binary_join(rows, "\n")[0].as_buffer()
     count = len(lines) - head
+    rows = pa.ListArray.from_arrays([0, count], lines[head:])
+    whole = pc.binary_join(rows, "\n")[0].as_buffer()
     del rows, lines
     try:
         table = pa_csv.read_csv(

@@ -116,7 +116,7 @@ class BagReader:
                     yield by_id[connection.id], log_ns, message
                 expected = sum(connection.msgcount for connection in connections)
                 if read != expected:
-                    raise DamagedError(f"is damaged: {expected:,} messages should be there, {read:,} can be read")
+                    raise DamagedError(f"{expected:,} messages should be there, {read:,} can be read")
 
     def deserialize(self, topic: BagTopic, data: bytes) -> Any:
         """Return the message as rosbags builds it."""

@@ -159,9 +159,7 @@ def _check_chunks(path: Path, chunks: Iterator[_PackedChunk]) -> set[tuple[int, 
                 unpacked = decompressor.decompress(content, size + 1)
                 left_over = decompressor.unused_data
             if len(unpacked) != size or left_over:
-                raise DamagedError(
-                    f"is damaged: the chunk at byte {start} unpacks to another length than {size:,} bytes"
-                )
+                raise DamagedError(f"the chunk at byte {start} unpacks to another length than {size:,} bytes")
         whole += size
         check_whole(path, "chunks", whole)
         forms.add((start, compression, len(content), size))
@@ -180,7 +178,7 @@ def _open_mcap(path: Path) -> McapReader:
         start, _, crc = _FOOTER.unpack(stream.read(_FOOTER.size))
         stream.seek(start)
         if start and crc and crc32(stream.read(max(0, end - start - 4))) != crc:
-            raise DamagedError("is damaged: the checksum of its summary does not match")
+            raise DamagedError("the checksum of its summary does not match")
         forms = _check_chunks(path, _mcap_chunks(stream))
     reader = McapReader(path)
     reader.open()
@@ -189,7 +187,7 @@ def _open_mcap(path: Path) -> McapReader:
         for chunk in reader.chunks
     }
     if not indexed <= forms:
-        raise DamagedError("is damaged: its index leads to no chunk")
+        raise DamagedError("its index leads to no chunk")
     _check_total(reader)
     return reader
 
@@ -197,7 +195,7 @@ def _open_mcap(path: Path) -> McapReader:
 def _check_total(reader: McapReader | Sqlite3Reader) -> None:
     counted = sum(connection.msgcount for connection in reader.connections)
     if counted != reader.metadata.message_count:
-        raise DamagedError(f"is damaged: it has {reader.metadata.message_count:,} messages, its topics {counted:,}")
+        raise DamagedError(f"it has {reader.metadata.message_count:,} messages, its topics {counted:,}")
 
 
 def _mcap_chunks(stream: BinaryIO) -> Iterator[_PackedChunk]:
@@ -234,5 +232,5 @@ def _check_database(path: Path) -> None:
         (verdict,) = database.execute("PRAGMA integrity_check(1)").fetchone()
         (longest,) = database.execute(_LONGEST).fetchone()
     if verdict != "ok":
-        raise DamagedError(f"is damaged: {plain(verdict)}")
+        raise DamagedError(plain(verdict))
     check_length("a message", longest or 0, MAX_MESSAGE_BYTES)
