@@ -478,9 +478,12 @@ def alarms(
     recorded: Recorded,
     options: RobotOptions = SHIPPED_ROBOT,
     zero: Array | None = None,
+    scales: Mapping[str, float] | None = None,
 ) -> tuple[str, ...]:
     """Return what clearly looks wrong in a log, a sentence each; arguments as in `mistake_alarms`.
 
     Where gears are forgotten, no body explains the torques of two joints, and nothing else can be told.
+    The scales are those of `torque_scales`, where they are at hand.
     """
-    return scale_alarms(torque_scales(arm, recorded)) or mistake_alarms(arm, recorded, options, zero)
+    scales = torque_scales(arm, recorded) if scales is None else scales
+    return scale_alarms(scales) or mistake_alarms(arm, recorded, options, zero)

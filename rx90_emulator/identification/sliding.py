@@ -92,7 +92,8 @@ def identify_sliding(
         raise IdentificationError(f"{where}: {name} {lacking[name]}")
     used = ~(~blocks.sliding[blocks.plateau] @ (arm.element_matrix != 0.0)) & arm.identified
     recorded = Recorded(blocks.motion, blocks.torque, used, blocks.plateau, blocks.later)
-    doubts = alarms(arm, recorded, zero=zero)
+    scales = torque_scales(arm, recorded)
+    doubts = alarms(arm, recorded, zero=zero, scales=scales)
     rows = sweep_rows(blocks, arm, known)
     parts = None if model is None else model_parts(model, SLIDING_PARTS)
     shared = [int(e) >= len(arm.names) for e in known]
@@ -137,7 +138,7 @@ def identify_sliding(
         count,
         usage,
         doubts,
-        torque_scales(arm, recorded),
+        scales,
     )
 
 
