@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from refusals import refusal_by
 
+from rx90_common.base.errors import ConfigError
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionElement, load_friction
