@@ -494,7 +494,8 @@ def _place_of(fault: ErrorDetails, schema: JsonSchema, content: Any) -> Place:
 def _holds(value: Any, key: str | int) -> bool:
     if isinstance(value, Mapping):
         return key in value
-    return isinstance(value, list) and isinstance(key, int) and key < len(value)
+    has_items = hasattr(value, "__getitem__")  # a list, or an array of numbers
+    return isinstance(key, int) and has_items and key < len(value)
 
 
 def value_at(content: Any, place: Place) -> Any:
