@@ -35,7 +35,13 @@ DOCS = [
     "sphinx-argparse>=0.5.2,<0.7",
     "sphinx-copybutton>=0.5.2,<0.6",
 ]
-TEST = ["pytest>=8.3,<10", "pytest-xdist>=3.6,<4", "hypothesis>=6.120,<7", "jsonschema>=4.20,<5", "xacro>=2.0,<3"]
+TEST = [
+    "pytest>=8.3,<10",
+    "pytest-xdist>=3.6,<4",
+    "hypothesis>=6.120,<7",
+    "jsonschema>=4.20,<5",
+    "xacro>=2.0,<3",
+]
 
 setup(
     name=NAME,

@@ -53,9 +53,14 @@ COMMANDS = {
 
 def main() -> int:
     """Run what is asked for; return 1 if a benchmark failed, 130 if it was interrupted."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks", description=(__doc__ or "").splitlines()[0]
+    )
     parser.add_argument(
-        "names", nargs="*", metavar="name", help=f"of {', '.join(COMMANDS)}; all of them if none is given"
+        "names",
+        nargs="*",
+        metavar="name",
+        help=f"of {', '.join(COMMANDS)}; all of them if none is given",
     )
     names = parser.parse_args().names or list(COMMANDS)
     for name in names:
@@ -63,7 +68,9 @@ def main() -> int:
             parser.error(f"the benchmark is {name!r}; accepted: {', '.join(COMMANDS)}")
     failed = []
     pressed: list[int] = []
-    signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))  # the benchmark ends by itself
+    signal.signal(
+        signal.SIGINT, lambda number, _: pressed.append(number)
+    )  # the benchmark ends by itself
     for name in names:
         print(f"\n{name}", flush=True)
         command = [sys.executable, "-m", *f"benchmarks.{COMMANDS[name]}".split()]

@@ -99,7 +99,9 @@ def without_rounding(setup: Setup) -> Setup:
 def run_plant(work: Work, start: Array, substeps: int) -> ReferenceRun:
     """Run the closed loop with the plant step."""
     slow = work._replace(start=start).run(substeps=substeps).slow
-    return ReferenceRun(slow.joint_states[:, 0], slow.joint_states[:, 1], slow.friction_states[:, 0])
+    return ReferenceRun(
+        slow.joint_states[:, 0], slow.joint_states[:, 1], slow.friction_states[:, 0]
+    )
 
 
 def converge(work: Work, starts: int = STARTS, quiet: bool = False) -> Convergence:
@@ -109,10 +111,18 @@ def converge(work: Work, starts: int = STARTS, quiet: bool = False) -> Convergen
     moved = [work.start + DISPLACEMENT * rng.uniform(-1.0, 1.0, 6) * (k > 0) for k in range(starts)]
     rows = round(work.duration * work.setup.rates.position_hz)
     # None: shown on a terminal only.
-    bar = tqdm(total=(starts + 2) * rows, desc="stiff solver", unit="ms", disable=True if quiet else None, leave=False)
+    bar = tqdm(
+        total=(starts + 2) * rows,
+        desc="stiff solver",
+        unit="ms",
+        disable=True if quiet else None,
+        leave=False,
+    )
 
     def solve(work: Work, start: Array, tolerance: float = TOLERANCE) -> ReferenceRun:
-        return hybrid_reference(work.setup, work.points, start, work.duration, tolerance=tolerance, bar=bar)
+        return hybrid_reference(
+            work.setup, work.points, start, work.duration, tolerance=tolerance, bar=bar
+        )
 
     with bar:
         exact = solve(fine, work.start)
@@ -121,12 +131,17 @@ def converge(work: Work, starts: int = STARTS, quiet: bool = False) -> Convergen
     return Convergence(
         {n: compare(work.setup, run_plant(fine, work.start, n), exact) for n in SUBSTEPS},
         solver,
-        {n: _all_pairs(work.setup, [run_plant(work, start, n) for start in moved], references) for n in SUBSTEPS},
+        {
+            n: _all_pairs(work.setup, [run_plant(work, start, n) for start in moved], references)
+            for n in SUBSTEPS
+        },
         [compare(work.setup, a, b) for a, b in itertools.combinations(references, 2)],
     )
 
 
-def _all_pairs(setup: Setup, ours: list[ReferenceRun], references: list[ReferenceRun]) -> list[Miss]:
+def _all_pairs(
+    setup: Setup, ours: list[ReferenceRun], references: list[ReferenceRun]
+) -> list[Miss]:
     return [compare(setup, a, b) for a, b in itertools.product(ours, references)]
 
 
@@ -147,7 +162,9 @@ class FullSpeed(NamedTuple):
 def scaled(setup: Setup, **factors: float) -> Setup:
     """Return a setup with parameters of all elements multiplied."""
     elements = tuple(
-        one.with_parameters({name: factor * one.parameters[name] for name, factor in factors.items()})
+        one.with_parameters(
+            {name: factor * one.parameters[name] for name, factor in factors.items()}
+        )
         for one in setup.friction.elements
     )
     return dataclasses.replace(setup, friction=FrictionSet(setup.friction.names, elements))
@@ -162,13 +179,21 @@ def full_speed(setup: Setup) -> FullSpeed:
         # Motor 6 turns with joints 5 and 6 together, so at full speed these two run against each other.
         one.state["v"][0] = setup.robot.max_velocity * [1, -1, 1, 1, -1, 1]
     stiff = StiffPlant(setup, twin, 1e-9)
-    sliding = [e.sliding_torque(s) for e, s in zip(elements, setup.robot.max_velocity, strict=False)]
-    rate = max(e.c0 * s / g for e, s, g in zip(elements, setup.robot.max_velocity, sliding, strict=False))
+    sliding = [
+        e.sliding_torque(s) for e, s in zip(elements, setup.robot.max_velocity, strict=False)
+    ]
+    rate = max(
+        e.c0 * s / g for e, s, g in zip(elements, setup.robot.max_velocity, sliding, strict=False)
+    )
     joints, torque = 0.0, 0.0
     for tick in range(round(COAST * setup.rates.base_hz)):
         plant.step(np.zeros(6))
         stiff.step(np.zeros(6))
-        twin.state["q"][0], twin.state["v"][0], twin.state["z"][0] = stiff.y[:6], stiff.y[6:12], stiff.y[12:]
+        twin.state["q"][0], twin.state["v"][0], twin.state["z"][0] = (
+            stiff.y[:6],
+            stiff.y[6:12],
+            stiff.y[12:],
+        )
         joints = max(joints, float(np.abs(plant.state["q"][0] - stiff.y[:6]).max()))
         own, other = plant.friction_states()[2], twin.friction_states()[2]
         if tick >= 2:
@@ -178,7 +203,9 @@ def full_speed(setup: Setup) -> FullSpeed:
 
 def with_rotors(setup: Setup, factor: float) -> Setup:
     """Return a setup with lighter or heavier rotors."""
-    drives = setup.drives.replaced(transmission={"rotor_inertia": factor * setup.drives.rotor_inertia})
+    drives = setup.drives.replaced(
+        transmission={"rotor_inertia": factor * setup.drives.rotor_inertia}
+    )
     return dataclasses.replace(setup, drives=drives)
 
 
@@ -209,7 +236,9 @@ def sticking(setup: Setup) -> Sticking:
         stiff.step(motor)
         apart = np.maximum(apart, np.abs(plant.state["q"][0] - stiff.y[:6]))
         way = np.maximum(way, np.abs(stiff.y[:6] - start))
-    return Sticking(plant.substeps, float(apart.max()), float((apart / np.maximum(way, SMALL_WAY)).max()))
+    return Sticking(
+        plant.substeps, float(apart.max()), float((apart / np.maximum(way, SMALL_WAY)).max())
+    )
 
 
 def _pushes(setup: Setup) -> list[Array]:
@@ -219,7 +248,9 @@ def _pushes(setup: Setup) -> list[Array]:
     weight = np.array(pin.computeGeneralizedGravity(model, model.createData(), STICKING_POSE))
     weight += setup.drives.spring_torque * np.sin(STICKING_POSE)
     needed = static[:6] + static[6] * np.array([0, 0, 0, 0, 1, 1])
-    joints = [weight + share * needed for share in np.repeat([0.6, 1.8, -1.8, 0.3], [24, 32, 48, 56])]
+    joints = [
+        weight + share * needed for share in np.repeat([0.6, 1.8, -1.8, 0.3], [24, 32, 48, 56])
+    ]
     return [(joint - joint[5] * (np.arange(6) == 4)) / setup.drives.gear for joint in joints]
 
 
@@ -238,12 +269,30 @@ def draw(found: Convergence, file: Path) -> None:
     with picture(file) as figure:
         figure.set_size_inches(WIDTH, 6.4)
         tip, states = figure.subplots(2)
-        tip.fill_between(ends, *np.percentile(spread, [0, 100]), color=GREY, alpha=0.35, linewidth=0.0)
-        tip.loglog(
-            ends, np.full(2, np.median(spread)), color=COLOURS[6], label="encoders as shipped: solver against itself"
+        tip.fill_between(
+            ends, *np.percentile(spread, [0, 100]), color=GREY, alpha=0.35, linewidth=0.0
         )
-        tip.fill_between(steps, shipped.min(axis=1), shipped.max(axis=1), color=COLOURS[1], alpha=0.35, linewidth=0.0)
-        tip.loglog(steps, np.median(shipped, axis=1), ".-", color=COLOURS[1], label="encoders as shipped: plant step")
+        tip.loglog(
+            ends,
+            np.full(2, np.median(spread)),
+            color=COLOURS[6],
+            label="encoders as shipped: solver against itself",
+        )
+        tip.fill_between(
+            steps,
+            shipped.min(axis=1),
+            shipped.max(axis=1),
+            color=COLOURS[1],
+            alpha=0.35,
+            linewidth=0.0,
+        )
+        tip.loglog(
+            steps,
+            np.median(shipped, axis=1),
+            ".-",
+            color=COLOURS[1],
+            label="encoders as shipped: plant step",
+        )
         tip.loglog(steps, tips, ".-", color=COLOURS[0], label="without rounding: plant step")
         tip.loglog(steps, tips[0] * slope, ":", color=INK, label="order 2")
         tip.set_ylabel("worst tip difference, µm")
@@ -258,11 +307,28 @@ def draw(found: Convergence, file: Path) -> None:
 
 def _exact_table(found: Convergence) -> None:
     rows, last = [], None
-    for name, miss in (*((f"{n} steps in a tick", m) for n, m in found.exact.items()), ("solver itself", found.solver)):
-        order = "" if last is None or name.startswith("solver") else f"{np.log2(last / miss.tip):.2f}"
-        rows.append((name, *_micro(miss.tip, miss.tip_rms, miss.joints.max(), miss.bristles.max()), order))
+    for name, miss in (
+        *((f"{n} steps in a tick", m) for n, m in found.exact.items()),
+        ("solver itself", found.solver),
+    ):
+        order = (
+            "" if last is None or name.startswith("solver") else f"{np.log2(last / miss.tip):.2f}"
+        )
+        rows.append(
+            (name, *_micro(miss.tip, miss.tip_rms, miss.joints.max(), miss.bristles.max()), order)
+        )
         last = miss.tip
-    print_table(("without the encoders' rounding", "tip µm", "RMS µm", "joints µrad", "bristles µrad", "order"), rows)
+    print_table(
+        (
+            "without the encoders' rounding",
+            "tip µm",
+            "RMS µm",
+            "joints µrad",
+            "bristles µrad",
+            "order",
+        ),
+        rows,
+    )
 
 
 def _micro(*values: float) -> list[str]:
@@ -275,8 +341,18 @@ def _counts_table(found: Convergence) -> None:
     for name, misses in (*runs, ("solver against itself", found.solver_counts)):
         tip = np.array([m.tip for m in misses])
         others = np.median([(m.tip_rms, m.joints.max(), m.bristles.max()) for m in misses], axis=0)
-        rows.append((name, *(f"{v * 1e6:.2f}" for v in (np.median(tip), tip.min(), tip.max(), *others))))
-    headers = ("encoders as shipped", "tip µm", "least", "most", "RMS µm", "joints µrad", "bristles µrad")
+        rows.append(
+            (name, *(f"{v * 1e6:.2f}" for v in (np.median(tip), tip.min(), tip.max(), *others)))
+        )
+    headers = (
+        "encoders as shipped",
+        "tip µm",
+        "least",
+        "most",
+        "RMS µm",
+        "joints µrad",
+        "bristles µrad",
+    )
     print_table(headers, rows)
 
 
@@ -304,7 +380,10 @@ def main() -> int:
     coasts = [(factor, full_speed(scaled(work.setup, c0=factor))) for factor in (1.0, 100.0)]
     print_table(
         ("coasting from full joint speed", "bristle rate x tick", "joints µrad", "friction torque"),
-        [(f"c0 x {f:g}", f"{c.rate:.1f}", f"{c.joints * 1e6:.3f}", f"{c.torque:.1e}") for f, c in coasts],
+        [
+            (f"c0 x {f:g}", f"{c.rate:.1f}", f"{c.joints * 1e6:.3f}", f"{c.torque:.1e}")
+            for f, c in coasts
+        ],
     )
     print()
     cases = {

@@ -28,7 +28,12 @@ from rx90_common.friction.compiled_elements import (
     element_arrays,
     load_elements,
 )
-from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
+from rx90_common.friction.parts.bristles import (
+    BristlesPart,
+    ElastoPlastic,
+    MaxwellSlip,
+    fill_bristles,
+)
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import lane, load
 from rx90_common.report.picture import WIDTH, picture
@@ -51,7 +56,9 @@ def _records(element: FrictionElement) -> tuple[Any, Any, Any]:
     return element_arrays((element,)), constants, state
 
 
-def driven_mass(element: FrictionElement, inertia: float, force: Array, step: float, start: float = 0.0) -> Motion:
+def driven_mass(
+    element: FrictionElement, inertia: float, force: Array, step: float, start: float = 0.0
+) -> Motion:
     """Return the motion of a mass under forces that are each held over a step, from position 0.
 
     Args:
@@ -81,7 +88,14 @@ def led(element: FrictionElement, velocity: Array, step: float) -> tuple[Array, 
 
 @kernel
 def _drive(
-    elements: Any, constants: Any, states: Any, inertia: float, force: Array, step: float, start: float, motion: Motion
+    elements: Any,
+    constants: Any,
+    states: Any,
+    inertia: float,
+    force: Array,
+    step: float,
+    start: float,
+    motion: Motion,
 ) -> None:
     element, kinds, state = load_elements(elements[0], 1), constants[0], states[0].bristles
     x, v, a = 0.0, start, 0.0
@@ -101,7 +115,13 @@ def _drive(
 
 @kernel
 def _lead(
-    elements: Any, constants: Any, states: Any, velocity: Array, step: float, torque: Array, stored: Array
+    elements: Any,
+    constants: Any,
+    states: Any,
+    velocity: Array,
+    step: float,
+    torque: Array,
+    stored: Array,
 ) -> None:
     element, kinds, state = load_elements(elements[0], 1), constants[0], states[0].bristles
     nothing = load(states[0].z, 1)
@@ -112,12 +132,16 @@ def _lead(
         stored[k] = lane(bristles_energy(element.c0, kinds, state, z, 1), 0)
 
 
-ELEMENT = FrictionElement(tau_c=25.0, tau_s=32.0, omega_s=0.05, delta=1.0, c0=1e5, c1=100.0, c2=14.0, omega_d=1.0)
+ELEMENT = FrictionElement(
+    tau_c=25.0, tau_s=32.0, omega_s=0.05, delta=1.0, c0=1e5, c1=100.0, c2=14.0, omega_d=1.0
+)
 FLAT = ELEMENT.replaced(tau_s=25.0, c2=0.0)
 KINDS: dict[str, BristlesPart | None] = {
     "LuGre": None,
     "elasto-plastic": ElastoPlastic(break_away=0.7),
-    "Maxwell slip": MaxwellSlip(stiffness=(0.5, 0.3, 0.2), share=(0.2, 0.3, 0.5), attraction=2000.0),
+    "Maxwell slip": MaxwellSlip(
+        stiffness=(0.5, 0.3, 0.2), share=(0.2, 0.3, 0.5), attraction=2000.0
+    ),
 }
 LOW, HIGH = 0.2, 0.6
 """Of the Coulomb torque, between which the load oscillates."""
@@ -138,7 +162,9 @@ def drift(kind: BristlesPart | None) -> tuple[Array, float]:
 
 def inner_loop(kind: BristlesPart | None) -> tuple[Array, Array]:
     """Return position, rad, and torque, Nm, of a slow motion with an inner loop, at rest after each step."""
-    velocity = np.concatenate([np.full(_POINTS, (b - a) / _POINTS / STEP) for a, b in pairwise(_TURNS)])
+    velocity = np.concatenate(
+        [np.full(_POINTS, (b - a) / _POINTS / STEP) for a, b in pairwise(_TURNS)]
+    )
     with_rests = np.column_stack([velocity, np.zeros_like(velocity)]).ravel()
     torque = led(FLAT.replaced(c1=0.0, bristles=kind), with_rests, STEP)[0][1::2]
     return np.cumsum(velocity) * STEP, torque
@@ -156,7 +182,9 @@ def step_errors(kind: BristlesPart | None) -> list[float]:
         h = 2.5e-4 / substeps
         t = (np.arange(round(0.25 / h)) + 0.5) * h
         force = 45.0 * np.sin(60.0 * t) + 6.0 * np.sin(171.0 * t)
-        return driven_mass(ELEMENT.replaced(bristles=kind), 1.5, force, h, 0.2).position[substeps - 1 :: substeps]
+        return driven_mass(ELEMENT.replaced(bristles=kind), 1.5, force, h, 0.2).position[
+            substeps - 1 :: substeps
+        ]
 
     exact = position(800)
     return [float(np.max(np.abs(position(n) - exact))) for n in _SUBSTEPS]
@@ -166,7 +194,9 @@ def costs() -> dict[str, float]:
     """Return the CPU time of one step of one element, s, of each kind, taking turns; slow motion with reversals."""
     velocity = 0.05 * np.sin(np.arange(200_000) * 0.01)
     runs = {
-        name: timed(lambda one=one: led(ELEMENT.replaced(bristles=one), velocity, 2.5e-4), velocity.size)  # type: ignore[misc]
+        name: timed(
+            lambda one=one: led(ELEMENT.replaced(bristles=one), velocity, 2.5e-4), velocity.size
+        )  # type: ignore[misc]
         for name, one in KINDS.items()
     }
     return {name: min(times) for name, times in in_turns(runs, 7).items()}
@@ -187,7 +217,9 @@ def draw(file: Path) -> None:
             way, torque = inner_loop(kind)
             panel.plot(way * 1e3, torque, color=GREY, label="outer loop")
             inner = slice(half - 1, 2 * half)
-            panel.plot(way[inner] * 1e3, torque[inner], color=colour, linewidth=1.8, label="inner loop")
+            panel.plot(
+                way[inner] * 1e3, torque[inner], color=colour, linewidth=1.8, label="inner loop"
+            )
             title = f"{name}: inner loop open by {left_open(torque):.1f} Nm"
             panel.set(title=title, xlabel="position, mrad", ylabel="friction torque, Nm")
             panel.legend()
@@ -206,14 +238,33 @@ def main() -> int:
     cost, rows, figures = costs(), [], {"bristles_drift_closed_form": expected}
     for name, kind in KINDS.items():
         key = name.replace(" ", "_").replace("-", "_").lower()
-        walked, open_by, errors = drift(kind)[1] / reach, left_open(inner_loop(kind)[1]), step_errors(kind)
-        rows.append((name, f"{walked:.3g}", f"{open_by:.2g}", *(f"{e:.2g}" for e in errors), f"{cost[name] * 1e9:.0f}"))
+        walked, open_by, errors = (
+            drift(kind)[1] / reach,
+            left_open(inner_loop(kind)[1]),
+            step_errors(kind),
+        )
+        rows.append(
+            (
+                name,
+                f"{walked:.3g}",
+                f"{open_by:.2g}",
+                *(f"{e:.2g}" for e in errors),
+                f"{cost[name] * 1e9:.0f}",
+            )
+        )
         figures |= {f"bristles_drift_{key}": walked, f"bristles_open_{key}": open_by}
         figures |= {f"bristles_error_{n}_{key}": e for n, e in zip(_SUBSTEPS, errors, strict=True)}
         figures[f"bristles_cost_{key}"] = cost[name] / cost["LuGre"]
     print(f"LuGre's drift in closed form: {expected:.4f} g a cycle")
     print_table(
-        ("kind", "drift, g a cycle", "inner loop open, Nm", *(f"rad, {n} steps" for n in _SUBSTEPS), "ns a step"), rows
+        (
+            "kind",
+            "drift, g a cycle",
+            "inner loop open, Nm",
+            *(f"rad, {n} steps" for n in _SUBSTEPS),
+            "ns a step",
+        ),
+        rows,
     )
     merge(figures)
     if options.plot:

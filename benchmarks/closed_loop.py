@@ -64,7 +64,9 @@ class PythonDrives:
         return [gear * turn for gear, turn in zip(self._gear, turns, strict=True)]
 
     def _counts(self, angles: Sequence[float]) -> list[float]:
-        return [round(angle / step) * step for angle, step in zip(angles, self._resolution, strict=True)]
+        return [
+            round(angle / step) * step for angle, step in zip(angles, self._resolution, strict=True)
+        ]
 
 
 class PythonLaw:
@@ -93,7 +95,9 @@ class PythonLaw:
             error = reference - position[i]
             if error * self._limited[i] <= 0.0:
                 bound = c["integrator_limit"][i]
-                self._integrator[i] = min(bound, max(-bound, self._integrator[i] + c["integral"][i] * error))
+                self._integrator[i] = min(
+                    bound, max(-bound, self._integrator[i] + c["integral"][i] * error)
+                )
             sign = min(1.0, max(-1.0, speed / c["coulomb_velocity"][i]))
             viscous = c["viscous"][i] * math.copysign(abs(speed) ** c["viscous_exponent"][i], speed)
             forward = c["inertia"][i] * acceleration + c["coulomb"][i] * sign + viscous
@@ -103,7 +107,12 @@ class PythonLaw:
     def velocity_loop(self, velocity: Sequence[float]) -> list[float]:
         """Run D and the current loop for motor velocities, rad/s; return motor torques, Nm."""
         c, torques = self._constants, []
-        derivative, constant, peaks, steps = c["derivative"], c["torque_constant"], c["peak_current"], c["current_step"]
+        derivative, constant, peaks, steps = (
+            c["derivative"],
+            c["torque_constant"],
+            c["peak_current"],
+            c["current_step"],
+        )
         for i in range(6):
             damping = derivative[i] * (self._velocity_reference[i] - velocity[i])
             asked = (self._held[i] + damping) / constant[i]
@@ -137,9 +146,11 @@ class PinocchioArm:
         self._to_joint = _ELEMENT_INPUT[[0, 1, 2, 3, 4, 6]].T * setup.drives.gear
         self._period = setup.rates.period
         elements = setup.friction.elements
-        self._c0, self._c1, self._c2, self._alpha, self._omega_s, self._omega_d, self._delta = np.array(
-            [(e.c0, e.c1, e.c2, e.alpha, e.omega_s, e.omega_d, e.delta) for e in elements]
-        ).T
+        self._c0, self._c1, self._c2, self._alpha, self._omega_s, self._omega_d, self._delta = (
+            np.array(
+                [(e.c0, e.c1, e.c2, e.alpha, e.omega_s, e.omega_d, e.delta) for e in elements]
+            ).T
+        )
         self._coulomb = np.array([(e.tau_c.positive, e.tau_c.negative) for e in elements]).T
         self._static = np.array([(e.tau_s.positive, e.tau_s.negative) for e in elements]).T
         self.q, self.v, self.z = np.array(position, dtype=np.float64), np.zeros(6), np.zeros(7)
@@ -165,7 +176,9 @@ class PinocchioArm:
         coulomb = np.where(forward, self._coulomb[0], self._coulomb[1])
         static = np.where(forward, self._static[0], self._static[1])
         sliding = coulomb + (static - coulomb) * np.exp(-((speed / self._omega_s) ** self._delta))
-        x = self._c0 * speed / sliding * self._period + 1e-12  # kept from 0, where 0 / 0 would follow
+        x = (
+            self._c0 * speed / sliding * self._period + 1e-12
+        )  # kept from 0, where 0 / 0 would follow
         z_dot = velocity - self._c0 * speed / sliding * self.z
         phi = -np.expm1(-x) / x
         advance = self._period * z_dot * phi
@@ -199,12 +212,17 @@ def check_same_arm(setup: Setup, samples: int = 50) -> None:
         v = rng.uniform(-1.0, 1.0, 6) * setup.robot.max_velocity
         ours = np.empty((6, 6)), np.empty(6)
         mass_and_bias(plant.constants[0]["arm"], plant.state[0]["body"], q, v, *ours)
-        peers = {"MuJoCo": mujoco_mass_and_bias(model, data, q, v), "Pinocchio": pinocchio.mass_and_bias(q, v)}
+        peers = {
+            "MuJoCo": mujoco_mass_and_bias(model, data, q, v),
+            "Pinocchio": pinocchio.mass_and_bias(q, v),
+        }
         for name, theirs in peers.items():
             for what, a, b in zip(("mass matrix", "bias"), ours, theirs, strict=True):
                 miss = np.abs(np.triu(a - b)).max()
                 if not miss < 1e-9 * np.abs(a).max():
-                    raise RuntimeError(f"the arm in {name} is another: its {what} is off by {miss:g}")
+                    raise RuntimeError(
+                        f"the arm in {name} is another: its {what} is off by {miss:g}"
+                    )
 
 
 class Ticks:
@@ -221,7 +239,15 @@ class Ticks:
         controller.reset(plant.motor_states()[0])
         ratio, q = self._work.setup.rates.ratio, np.empty((len(self._setpoints), 6))
         began = time.process_time()
-        kernel(plant.constants, plant.state, controller.law, controller.state, self._setpoints, ratio, q)
+        kernel(
+            plant.constants,
+            plant.state,
+            controller.law,
+            controller.state,
+            self._setpoints,
+            ratio,
+            q,
+        )
         return (time.process_time() - began) / (len(q) * ratio), q
 
     def check(self, accepted: float = 5e-7) -> None:
@@ -232,11 +258,16 @@ class Ticks:
         """
         miss = np.abs(self.run(run_lanes)[1] - self.run(run_plain)[1]).max()
         if not miss < accepted:
-            raise RuntimeError(f"the plain loops move another way: {miss:g} rad off; accepted: below {accepted:g}")
+            raise RuntimeError(
+                f"the plain loops move another way: {miss:g} rad off; accepted: below {accepted:g}"
+            )
 
 
 def run_with_python_law(
-    work: Work, setpoints: Array, position: Callable[[], Sequence[float]], step: Callable[[list[float]], None]
+    work: Work,
+    setpoints: Array,
+    position: Callable[[], Sequence[float]],
+    step: Callable[[list[float]], None],
 ) -> float:
     """Run a peer under the law in plain Python; return s per tick."""
     ratio = work.setup.rates.ratio
@@ -305,7 +336,9 @@ class PinocchioPeer:
 def _check_tracking(name: str, q: Array, setpoints: Array) -> None:
     miss = np.abs(q - setpoints[-1, 0]).max()
     if not miss < 2e-3:
-        raise RuntimeError(f"{name} does not follow the line: {miss:g} rad off; accepted: below 0.002")
+        raise RuntimeError(
+            f"{name} does not follow the line: {miss:g} rad off; accepted: below 0.002"
+        )
 
 
 def measure(rounds: int = ROUNDS) -> dict[str, list[float]]:

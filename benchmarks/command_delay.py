@@ -97,7 +97,9 @@ def motion(setup: Setup, seconds: int = SECONDS) -> TrajectoryPoints:
     rows = [HOME + (k % 2) * TURN for k in range(seconds + 1)]
     rest = [[0.0] * 6] * len(rows)
     names = setup.robot.joint_names
-    return TrajectoryPoints.create(names, names, [float(k) for k in range(len(rows))], rows, rest, [[]] * len(rows))
+    return TrajectoryPoints.create(
+        names, names, [float(k) for k in range(len(rows))], rows, rest, [[]] * len(rows)
+    )
 
 
 def run(setup: Setup, ages: NDArray[np.int64]) -> tuple[Array, int]:
@@ -140,14 +142,27 @@ def main() -> int:
     loop, ticks = Loop.of(setup), SECONDS * setup.rates.base_hz
     rows = []
     for delay in DELAYS:
-        cells = [str(delay), f"{delay * setup.rates.period * 1e3:g}", f"{spectral_radius(loop, delay):.3f}"]
+        cells = [
+            str(delay),
+            f"{delay * setup.rates.period * 1e3:g}",
+            f"{spectral_radius(loop, delay):.3f}",
+        ]
         for ages in (constant(ticks, delay), in_turns(ticks, delay)):
             worst, end = run(setup, ages)
             share = float((worst[1] / setup.drives.peak_torque).max())
             fault = "" if end < 0 else f", fault at {end * setup.rates.period:.2f} s"
             cells.append(f"{worst[0].max() * 1e3:.2f} mrad, {share:.0%}{fault}")
         rows.append(tuple(cells))
-    print_table(("ticks", "ms", "linear loop", "all commands late by as much", "as many ticks on one command"), rows)
+    print_table(
+        (
+            "ticks",
+            "ms",
+            "linear loop",
+            "all commands late by as much",
+            "as many ticks on one command",
+        ),
+        rows,
+    )
     return 0
 
 

@@ -65,7 +65,15 @@ WORKSPACE = np.dtype(
 
 def scaled(friction: FrictionSet, scale: float) -> FrictionSet:
     """Return a friction set with all torques scaled; deflections and velocities stay."""
-    names = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c0", "c1", "c2")
+    names = (
+        "tau_c_positive",
+        "tau_c_negative",
+        "tau_s_positive",
+        "tau_s_negative",
+        "c0",
+        "c1",
+        "c2",
+    )
     elements = tuple(
         element.with_parameters({name: scale * element.parameters[name] for name in names})
         for element in friction.elements
@@ -128,7 +136,9 @@ def _run(
         row = k // ratio
         if k % ratio == 0:
             position[row] = plant.q
-            position_loop(laws, law_states, setpoints[row], plant.motor_position, plant.motor_velocity)
+            position_loop(
+                laws, law_states, setpoints[row], plant.motor_position, plant.motor_velocity
+            )
             to_joint(gear, law.error, own.error)
             own.held[:] = law.feed_forward
         to_joint(gear, plant.motor_velocity, own.velocity)
@@ -141,7 +151,9 @@ def _run(
 
 @kernel
 def _add_friction(elements: Any, own: Any, gear: Array, gain: float, period: float) -> None:
-    z, torque = bristle_step(load_elements(elements, 7), load(own.z, 7), element_inputs(own.velocity), period)
+    z, torque = bristle_step(
+        load_elements(elements, 7), load(own.z, 7), element_inputs(own.velocity), period
+    )
     store(own.z, z + gain * period * element_inputs(own.error))
     own.joint[:] = 0.0
     add_to_joints(own.joint, torque)
@@ -223,17 +235,28 @@ class Models:
         }
 
     def _with(self, files: ModelFiles) -> Setup:
-        return dataclasses.replace(self._setup, controller=self._setup.controller.replaced(model=files))
+        return dataclasses.replace(
+            self._setup, controller=self._setup.controller.replaced(model=files)
+        )
 
     def _friction(self, factor: float) -> Setup:
         """Return the setup with a controller that knows all friction by a factor wrong."""
         path = self._folder / f"friction_{factor}.yaml"
-        elements = dict(zip(self._setup.friction.names, scaled(self._setup.friction, factor).elements, strict=True))
+        elements = dict(
+            zip(
+                self._setup.friction.names,
+                scaled(self._setup.friction, factor).elements,
+                strict=True,
+            )
+        )
         path.write_text(FrictionFile.of(elements).text(), encoding="utf-8")
         setup = self._with(self._files.replaced(friction=path))
         own = setup.controller
         wrong = own.replaced(
-            feed_forward={"coulomb_torque": factor * own.coulomb, "viscous_friction": factor * own.viscous}
+            feed_forward={
+                "coulomb_torque": factor * own.coulomb,
+                "viscous_friction": factor * own.viscous,
+            }
         )
         return dataclasses.replace(setup, controller=wrong)
 
@@ -254,7 +277,9 @@ class Models:
 
         The model's begin at those that it believes; None for a model without temperatures.
         """
-        warm = dataclasses.replace(self._setup.friction, elements=_warm(self._setup.friction, hall, arm))
+        warm = dataclasses.replace(
+            self._setup.friction, elements=_warm(self._setup.friction, hall, arm)
+        )
         there = dataclasses.replace(self._setup, friction=warm)
         if believed is None:
             return there
@@ -270,7 +295,10 @@ def _warm(friction: FrictionSet, hall: float, start: Array) -> tuple[FrictionEle
     return tuple(
         element.replaced(
             temperature=WARMTH.replaced(
-                start=float(begin), ambient=hall, resistance=resistance, capacity=TIME_CONSTANT / resistance
+                start=float(begin),
+                ambient=hall,
+                resistance=resistance,
+                capacity=TIME_CONSTANT / resistance,
             )
         )
         for element, begin, resistance in zip(friction.elements, start, RESISTANCES, strict=True)
@@ -279,15 +307,21 @@ def _warm(friction: FrictionSet, hall: float, start: Array) -> tuple[FrictionEle
 
 def with_law(setup: Setup, switches: Mapping[str, bool]) -> Setup:
     """Return the setup with these parts of the feed-forward on."""
-    return dataclasses.replace(setup, controller=setup.controller.replaced(feed_forward=dict(switches)))
+    return dataclasses.replace(
+        setup, controller=setup.controller.replaced(feed_forward=dict(switches))
+    )
 
 
 def print_conditions(runs: Mapping[str, Mapping[str, LineRun]]) -> None:
     """Print a table for each quantity: conditions down, laws across."""
-    found = {condition: [Outcome.of(run) for run in laws.values()] for condition, laws in runs.items()}
+    found = {
+        condition: [Outcome.of(run) for run in laws.values()] for condition, laws in runs.items()
+    }
 
     def table(title: str, cell: Callable[[Outcome], str]) -> None:
-        print_table((title, *LAWS), [(name, *map(cell, outcomes)) for name, outcomes in found.items()])
+        print_table(
+            (title, *LAWS), [(name, *map(cell, outcomes)) for name, outcomes in found.items()]
+        )
         print()
 
     table("path error, worst (RMS), mm", lambda one: f"{one.worst * 1e3:.4f} ({one.rms * 1e3:.4f})")
@@ -314,15 +348,23 @@ def own_budget(setup: Setup, task: LineTask) -> list[tuple[str, float, float]]:
     # A ramp that is over within rounding of zero: the sign function as written.
     plain = with_parameters(known, {"controller.coulomb_velocity": 1e-12})
     coulomb = tuple(
-        e.replaced(tau_s={"positive": e.tau_c.positive, "negative": e.tau_c.negative}, c0=_STIFF * e.c0)
+        e.replaced(
+            tau_s={"positive": e.tau_c.positive, "negative": e.tau_c.negative}, c0=_STIFF * e.c0
+        )
         for e in setup.friction.elements
     )
     without = with_parameters(plain, {"controller.coulomb[5]": 0.0, "controller.viscous[5]": 0.0})
-    none = dict.fromkeys(("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative"), 1e-9)
-    wrist = tuple(element.with_parameters({**none, "c1": 0.0, "c2": 0.0}) for element in coulomb[5:])
+    none = dict.fromkeys(
+        ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative"), 1e-9
+    )
+    wrist = tuple(
+        element.with_parameters({**none, "c1": 0.0, "c2": 0.0}) for element in coulomb[5:]
+    )
 
     def of(controlled: Setup, elements: tuple[FrictionElement, ...]) -> Setup:
-        return dataclasses.replace(controlled, friction=dataclasses.replace(setup.friction, elements=elements))
+        return dataclasses.replace(
+            controlled, friction=dataclasses.replace(setup.friction, elements=elements)
+        )
 
     cases = {
         "as shipped": setup,
@@ -336,7 +378,10 @@ def own_budget(setup: Setup, task: LineTask) -> list[tuple[str, float, float]]:
 
 def print_budget(title: str, found: Sequence[tuple[str, float, float]]) -> None:
     """Print what is left."""
-    print_table((title, "worst, µm", "RMS, µm"), [(n, f"{w * 1e6:.2f}", f"{r * 1e6:.3f}") for n, w, r in found])
+    print_table(
+        (title, "worst, µm", "RMS, µm"),
+        [(n, f"{w * 1e6:.2f}", f"{r * 1e6:.3f}") for n, w, r in found],
+    )
     print()
 
 
@@ -360,13 +405,19 @@ def print_measured(setups: Mapping[str, Setup], task: LineTask) -> None:
 
 def speed(setup: Setup, task: LineTask) -> dict[str, float]:
     """Return how many times faster than real time the closed loop is, without and with both parts."""
-    setups = {"feed-forward as shipped": setup, "both parts of the model": with_law(setup, LAWS[BOTH])}
+    setups = {
+        "feed-forward as shipped": setup,
+        "both parts of the model": with_law(setup, LAWS[BOTH]),
+    }
     plan = plan_line(setup, task)
     runs = {
         name: timed(lambda one=one: simulate(one, plan.points, plan.start_pose, plan.duration))  # type: ignore[misc]
         for name, one in setups.items()
     }
-    return {name: plan.duration / statistics.median(times) for name, times in in_turns(runs, ROUNDS).items()}
+    return {
+        name: plan.duration / statistics.median(times)
+        for name, times in in_turns(runs, ROUNDS).items()
+    }
 
 
 def draw(runs: Mapping[str, Mapping[str, LineRun]], file: Path) -> None:
@@ -384,7 +435,9 @@ def draw(runs: Mapping[str, Mapping[str, LineRun]], file: Path) -> None:
             if condition in (COLD, HOT):
                 path = runs[condition + KNOWN][BOTH].path_accuracy
                 name = BOTH + KNOWN
-                panel.plot(path.along * 1e3, path.perpendicular * 1e3, color=COLOURS[len(LAWS)], label=name)
+                panel.plot(
+                    path.along * 1e3, path.perpendicular * 1e3, color=COLOURS[len(LAWS)], label=name
+                )
             panel.set(title=condition.capitalize(), ylabel="path error, mm", ylim=(0.0, None))
             panel.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=5)
         panels[-1].set_xlabel("along the line, mm")
@@ -413,7 +466,10 @@ def main() -> int:
         print_budget("CS7B's own, what is left", own_budget(setup, task))
         print_measured(setups, task)
     faster = speed(setup, task)
-    print_table(("closed loop, one core", "x real time"), [(name, f"{value:.0f}") for name, value in faster.items()])
+    print_table(
+        ("closed loop, one core", "x real time"),
+        [(name, f"{value:.0f}") for name, value in faster.items()],
+    )
     if options.plot is not None:
         draw(runs, options.plot)
     merge(

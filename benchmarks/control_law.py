@@ -26,7 +26,9 @@ from rx90_emulator.loop.setup import Setup, load_setup
 
 # A ramp that is over within rounding of zero: the sign function as written.
 _LITERAL_SIGN = 1e-12  # rad/s
-_FF_BLOCK = {f"controller.feed_forward.{part}": False for part in ("acceleration", "coulomb", "viscous")}
+_FF_BLOCK = {
+    f"controller.feed_forward.{part}": False for part in ("acceleration", "coulomb", "viscous")
+}
 _PAPER_D = {"controller.feed_forward.velocity": False}
 CASES: dict[str, tuple[str, dict[str, bool | float]]] = {
     "path_error_mm": ("as shipped", {}),
@@ -77,7 +79,9 @@ def paper_choices(setup: Setup, task: LineTask) -> dict[str, tuple[str, Array]]:
     These are worst and RMS path error on the line, mm; in the fast move the largest position error of a joint, mrad,
     and the most that an element's friction torque differs from the default's at the same time, Nm.
     """
-    setups = {key: (name, with_parameters(setup, changes)) for key, (name, changes) in CHOICES.items()}
+    setups = {
+        key: (name, with_parameters(setup, changes)) for key, (name, changes) in CHOICES.items()
+    }
     setups["paper_all"] = f"--paper: {PAPER}", replace(load_setup(robot=PAPER), rates=setup.rates)
     found, usual = {}, None
     for key, (name, one) in setups.items():
@@ -85,7 +89,10 @@ def paper_choices(setup: Setup, task: LineTask) -> dict[str, tuple[str, Array]]:
         torque = fast.friction_states[:, 2]
         usual = torque if usual is None else usual
         error = 1e3 * np.abs(fast.tracking_error[:, 0]).max()
-        found[key] = name, np.array([path.worst * 1e3, path.rms * 1e3, error, np.abs(torque - usual).max()])
+        found[key] = (
+            name,
+            np.array([path.worst * 1e3, path.rms * 1e3, error, np.abs(torque - usual).max()]),
+        )
     return found
 
 
@@ -105,19 +112,32 @@ def main() -> int:
     errors = path_errors(setup, load_task())
     print_table(
         ("reference task, path error", "worst, mm", "RMS, mm"),
-        [(CASES[key][0], f"{worst * 1e3:.3f}", f"{rms * 1e3:.3f}") for key, (worst, rms) in errors.items()],
+        [
+            (CASES[key][0], f"{worst * 1e3:.3f}", f"{rms * 1e3:.3f}")
+            for key, (worst, rms) in errors.items()
+        ],
     )
     choices = paper_choices(setup, load_task())
     print_table(
-        ("the paper's literal choices", "line, worst, mm", "RMS, mm", "fast move, error, mrad", "friction differs, Nm"),
+        (
+            "the paper's literal choices",
+            "line, worst, mm",
+            "RMS, mm",
+            "fast move, error, mrad",
+            "friction differs, Nm",
+        ),
         [(name, *(f"{value:.4f}" for value in row)) for name, row in choices.values()],
     )
     extent, step = torque_at_rest(setup)
-    print(f"held at rest: a joint's torque moves within {extent:.2f} Nm, by at most {step:.2f} Nm from tick to tick")
+    print(
+        f"held at rest: a joint's torque moves within {extent:.2f} Nm, by at most {step:.2f} Nm from tick to tick"
+    )
     figures = {key: worst * 1e3 for key, (worst, _) in errors.items()}
     columns = ("worst_mm", "rms_mm", "fast_mrad", "friction_nm")
     figures |= {
-        f"{key}_{of}": float(value) for key, (_, row) in choices.items() for of, value in zip(columns, row, strict=True)
+        f"{key}_{of}": float(value)
+        for key, (_, row) in choices.items()
+        for of, value in zip(columns, row, strict=True)
     }
     merge(figures)
     return 0

@@ -62,8 +62,13 @@ class Circle:
     @classmethod
     def planned(cls, setup: Setup, task: LineTask, speed: float) -> Circle:
         """Return it for a speed, m/s, in the posture of a task."""
-        chain, profile = setup.robot.chain, TrapezoidalProfile(2.0 * np.pi * RADIUS, speed, task.acceleration)
-        times = np.round(np.arange(0.0, profile.duration + 2.0 * REST, setup.rates.position_period), 9)
+        chain, profile = (
+            setup.robot.chain,
+            TrapezoidalProfile(2.0 * np.pi * RADIUS, speed, task.acceleration),
+        )
+        times = np.round(
+            np.arange(0.0, profile.duration + 2.0 * REST, setup.rates.position_period), 9
+        )
         motion = profile.sample(times - REST)
         angle, turn, bend = (part / RADIUS for part in motion)
         radial = RADIUS * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
@@ -78,7 +83,10 @@ class Circle:
         velocity = solved(slopes, np.hstack([tangent * turn[:, None], still]))
         tip = np.hstack([tangent * bend[:, None] - radial * (turn * turn)[:, None], still])
         acceleration = solved(slopes, tip - bias_acceleration(chain, position, velocity))
-        names, tables = setup.robot.joint_names, (position.tolist(), velocity.tolist(), acceleration.tolist())
+        names, tables = (
+            setup.robot.joint_names,
+            (position.tolist(), velocity.tolist(), acceleration.tolist()),
+        )
         points = TrajectoryPoints.create(names, names, times.tolist(), *tables)
         return cls(points, (REST, REST + profile.duration + 0.3))
 
@@ -90,7 +98,15 @@ class Circle:
 
 def rubbing(setup: Setup, factor: float) -> Setup:
     """Return an arm with so many times the friction: each of its torques, and so the bristles' stiffness, too."""
-    keys = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c0", "c1", "c2")
+    keys = (
+        "tau_c_positive",
+        "tau_c_negative",
+        "tau_s_positive",
+        "tau_s_negative",
+        "c0",
+        "c1",
+        "c2",
+    )
     elements = tuple(
         element.with_parameters({key: factor * element.parameters[key] for key in keys})
         for element in setup.friction.elements
@@ -98,7 +114,9 @@ def rubbing(setup: Setup, factor: float) -> Setup:
     return replace(setup, friction=replace(setup.friction, elements=elements))
 
 
-def errors(setup: Setup, path: CorrectablePath | LineTask, trials: int, **options: Correction | Setup) -> Array:
+def errors(
+    setup: Setup, path: CorrectablePath | LineTask, trials: int, **options: Correction | Setup
+) -> Array:
     """Return the largest path errors of the trials, m."""
     learned = learn_correction(setup, path, trials, **options)  # type: ignore[arg-type]
     return np.array([trial.worst for trial in learned.trials])
@@ -159,7 +177,9 @@ def noisy(setup: Setup, task: LineTask) -> Array:
         measured = run_corrected(arm, plan, learner.correction)[1]
         assert measured.tip is not None
         rows.append(true_error(learner, measured))
-        learner.take(replace(measured, tip=measured.tip + NOISE * rng.normal(size=measured.tip.shape)))
+        learner.take(
+            replace(measured, tip=measured.tip + NOISE * rng.normal(size=measured.tip.shape))
+        )
     return np.array(rows)
 
 
@@ -185,7 +205,8 @@ def show(title: str, rows: Sequence[tuple[str, Array]]) -> None:
     """Print path errors by trial, µm."""
     print()
     print_table(
-        (title, "path error by trial, µm"), [(name, " ".join(f"{e * 1e6:.1f}" for e in row)) for name, row in rows]
+        (title, "path error by trial, µm"),
+        [(name, " ".join(f"{e * 1e6:.1f}" for e in row)) for name, row in rows],
     )
 
 
@@ -218,12 +239,16 @@ def main() -> int:
     show("friction as shipped", list(learned.items()))
     figures = {f"correction_{name}_plain": float(row[0]) for name, row in learned.items()}
     figures |= {
-        f"correction_{name}_norm_optimal": float(learned[name][trials]) for name, (trials, _) in ACCEPTED.items()
+        f"correction_{name}_norm_optimal": float(learned[name][trials])
+        for name, (trials, _) in ACCEPTED.items()
     }
     wrong = [name for name, (trials, most) in ACCEPTED.items() if not learned[name][trials] <= most]
     transfer = other_arms(setup, task)
     show("friction x 0.7, x 1.3", [(name, np.array([value])) for name, value in transfer.items()])
-    limits = {"moved": ACCEPTED_MOVED * transfer["correction_friction_least"], "next": ACCEPTED_NEXT}
+    limits = {
+        "moved": ACCEPTED_MOVED * transfer["correction_friction_least"],
+        "next": ACCEPTED_NEXT,
+    }
     for which, most in limits.items():
         names = [f"correction_friction_{100.0 * factor:.0f}_{which}" for factor in FACTORS]
         wrong += [name for name in names if not transfer[name] <= most]
@@ -237,7 +262,9 @@ def main() -> int:
     show("noise of 5 µm at the tip, 2 % more mass", [("norm-optimal", noise)])
     wrong += [] if noise[1:].max() < noise[0] else ["noise"]
     trial, preparation = cost(setup, task)
-    print(f"\na trial of 6 s: {trial:.3f} s of processor time, the preparation before the first {preparation:.3f} s")
+    print(
+        f"\na trial of 6 s: {trial:.3f} s of processor time, the preparation before the first {preparation:.3f} s"
+    )
     print(f"the largest growth of the path error from trial to trial: {growth * 1e6:.2f} µm")
     wrong += [] if trial <= ACCEPTED_TIME else ["time of a trial"]
     figures |= transfer | {

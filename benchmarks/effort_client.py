@@ -14,7 +14,9 @@ class Hold:
     def __init__(self) -> None:
         self._home: Sequence[float] | None = None
 
-    def __call__(self, position: Sequence[float], velocity: Sequence[float], _time: float) -> list[float]:
+    def __call__(
+        self, position: Sequence[float], velocity: Sequence[float], _time: float
+    ) -> list[float]:
         """Return efforts, Nm."""
         if self._home is None:
             self._home = list(position)

@@ -30,7 +30,15 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import binom
 
-from benchmarks.excitation_runs import MISFIT, NOISE, Disturbances, ExcitationRun, FourierMotion, measured, torque_along
+from benchmarks.excitation_runs import (
+    MISFIT,
+    NOISE,
+    Disturbances,
+    ExcitationRun,
+    FourierMotion,
+    measured,
+    torque_along,
+)
 from benchmarks.random_arms import SyntheticArm, random_arm
 from benchmarks.report import accepted, arguments, in_processes, merge, print_table
 from rx90_common.base.arrays import Array
@@ -96,7 +104,11 @@ def truth_of(
         time = np.sort(rng.uniform(one.rest, one.duration - one.rest, _SAMPLES))
         exact = one.at(time)
         parts.append(
-            (columns(*exact), exact[1] @ arm.element_matrix.T, torque_along(steady, time, exact, disturbances.load))
+            (
+                columns(*exact),
+                exact[1] @ arm.element_matrix.T,
+                torque_along(steady, time, exact, disturbances.load),
+            )
         )
     linear, inputs, torque = (np.concatenate(values) for values in zip(*parts, strict=True))
     weight = 1.0 / np.asarray(sigma)
@@ -109,7 +121,9 @@ def truth_of(
         powers = sign * size ** shape[: inputs.shape[1]]
         decays = sign[:, stribeck] * np.exp(-size[:, stribeck] / np.exp(shape[inputs.shape[1] :]))
         acting = np.concatenate([sign, powers, decays], axis=1)
-        matrix = np.concatenate([arm.element_matrix, arm.element_matrix, arm.element_matrix[stribeck]])
+        matrix = np.concatenate(
+            [arm.element_matrix, arm.element_matrix, arm.element_matrix[stribeck]]
+        )
         return np.einsum("mk,kj->mjk", acting, matrix * weight).reshape(-1, len(matrix))
 
     def fitted(shape: Array) -> tuple[Array, Array]:
@@ -119,7 +133,9 @@ def truth_of(
         rest = target - own @ values
         return values, rest - basis @ (basis.T @ rest)
 
-    start = [law.alpha for law in arm.friction] + [np.log(arm.friction[k].omega_s) for k in stribeck]
+    start = [law.alpha for law in arm.friction] + [
+        np.log(arm.friction[k].omega_s) for k in stribeck
+    ]
     low, high = np.log(_STRIBECK)
     bounds = (
         [_EXPONENT[0]] * len(arm.friction) + [low] * len(stribeck),
@@ -195,7 +211,14 @@ class Case:
     motions: int = 40
 
     @classmethod
-    def of(cls, arm: SyntheticArm, disturbances: Disturbances, rate: float, periods: int = 1, seed: int = 0) -> Case:
+    def of(
+        cls,
+        arm: SyntheticArm,
+        disturbances: Disturbances,
+        rate: float,
+        periods: int = 1,
+        seed: int = 0,
+    ) -> Case:
         """Return the case of an arm; its description passes through a file."""
         with tempfile.TemporaryDirectory() as folder:
             urdf = Path(folder) / "arm.urdf"
@@ -206,14 +229,18 @@ class Case:
     def motion(self, seed: int) -> FourierMotion:
         """Return a random motion of 24 s."""
         count = self.periods
-        return FourierMotion.random(self.arm, seed, period=24.0 / count, periods=count, harmonics=12 // count)
+        return FourierMotion.random(
+            self.arm, seed, period=24.0 / count, periods=count, harmonics=12 // count
+        )
 
     def run(self, number: int) -> ExcitationRun:
         """Return one of the runs."""
         seed = 1000 * self.seed + number
         return measured(self.arm, self.motion(seed), self.rate, seed, self.disturbances)
 
-    def problem(self, runs: list[ExcitationRun], bandwidths: Bandwidths | None = None) -> ExcitationProblem:
+    def problem(
+        self, runs: list[ExcitationRun], bandwidths: Bandwidths | None = None
+    ) -> ExcitationProblem:
         """Return the equations of runs."""
         records = [as_read(run.record(self.arm)) for run in runs]
         chosen = bandwidths or Bandwidths.of(records)
@@ -237,13 +264,17 @@ def as_read(record: JointRecord) -> JointRecord:
     count = len(record.time) // size
 
     def mean(values: Array) -> Array:
-        return np.asarray(values[: count * size].reshape(count, size, *values.shape[1:]).mean(axis=1))
+        return np.asarray(
+            values[: count * size].reshape(count, size, *values.shape[1:]).mean(axis=1)
+        )
 
     fields = ("time", "position", "velocity", "torque")
     return replace(record, **{name: mean(getattr(record, name)) for name in fields})
 
 
-def random_case(seed: int, disturbances: Disturbances, *, largest: int = 6, bristles: bool = False) -> Case:
+def random_case(
+    seed: int, disturbances: Disturbances, *, largest: int = 6, bristles: bool = False
+) -> Case:
     """Return a random arm of 2 to `largest` joints, recorded at 67 Hz to 5 kHz, each motion once or twice in a run."""
     rng = np.random.default_rng((seed, 40))
     arm = random_arm(seed, int(rng.integers(2, largest + 1)), bristles=bristles)
@@ -257,10 +288,14 @@ def experiment(case: Case, *, bristles: bool = False, runs: int = RUNS) -> Outco
     problem = case.problem([case.run(number) for number in range(runs)])
     found = fit_arm(problem, (*TRIED, Part.BRISTLE) if bristles else TRIED)
     joints = range(len(case.rigid.names))
-    sigma = np.array([np.median(np.abs(found.fit.residual[problem.joint == joint])) for joint in joints])
+    sigma = np.array(
+        [np.median(np.abs(found.fit.residual[problem.joint == joint])) for joint in joints]
+    )
     truth = case.truth(problem, sigma)
     first = len(found.fit.x)
-    for value, deviation, true in zip(found.fit.linear, found.deviation[first:], truth.base, strict=True):
+    for value, deviation, true in zip(
+        found.fit.linear, found.deviation[first:], truth.base, strict=True
+    ):
         outcome.note("base", value - true, deviation, 1.0)
     laws = case.arm.friction
     bare = replace(
@@ -328,9 +363,17 @@ def _power(problem: ExcitationProblem, values: Array) -> Array:
 def best_model(case: Case, run: ExcitationRun, truth: Truth, problem: ExcitationProblem) -> Array:
     """Return the torque of a run by the pseudo-true parameters along the exact motion, Nm, shape (m, n)."""
     position, velocity, acceleration = run.exact
-    columns = problem.columns.torque(position, velocity, acceleration)[:, :, list(problem.base.leading)]
+    columns = problem.columns.torque(position, velocity, acceleration)[
+        :, :, list(problem.base.leading)
+    ]
     shapes = zip(
-        case.arm.friction, truth.coulomb, truth.viscous, truth.exponent, truth.rise, truth.omega_s, strict=True
+        case.arm.friction,
+        truth.coulomb,
+        truth.viscous,
+        truth.exponent,
+        truth.rise,
+        truth.omega_s,
+        strict=True,
     )
     laws = []
     for law, coulomb, viscous, exponent, rise, omega_s in shapes:
@@ -343,7 +386,9 @@ def best_model(case: Case, run: ExcitationRun, truth: Truth, problem: Excitation
 
 def _at_rows(case: Case, problem: ExcitationProblem, run: ExcitationRun, torque: Array) -> Array:
     """Return a torque along a run, filtered like the recorded one, at a problem's rows, Nm, shape (r,)."""
-    other = filter_record(as_read(replace(run.record(case.arm), torque=torque)), problem.runs[0].bandwidths)
+    other = filter_record(
+        as_read(replace(run.record(case.arm), torque=torque)), problem.runs[0].bandwidths
+    )
     return problem.rows_of([piece.torque[:, :, None] for piece in other])[:, 0]
 
 
@@ -367,7 +412,9 @@ def job(arguments: tuple[int, str, int, bool, int]) -> Outcome:
 
 def joined(outcomes: Sequence[Outcome], name: str, kind: str | None = None) -> np.ndarray:
     """Return an attribute of all outcomes, or one kind of it, in one array."""
-    values = [getattr(one, name) if kind is None else getattr(one, name).get(kind, []) for one in outcomes]
+    values = [
+        getattr(one, name) if kind is None else getattr(one, name).get(kind, []) for one in outcomes
+    ]
     return np.array([value for part in values for value in part])
 
 
@@ -379,12 +426,25 @@ def coverage(condition: str, outcomes: Sequence[Outcome], figures: dict[str, flo
         scores, errors = joined(outcomes, "scores", kind), joined(outcomes, "errors", kind)
         share = float(np.mean(np.abs(scores) < 1.96))
         margin = 196.0 * math.sqrt(share * (1.0 - share) / len(scores))
-        typical = ["", ""] if kind == "base" else [f"{v:.3f}" for v in np.percentile(np.abs(errors), (50.0, 95.0))]
+        typical = (
+            ["", ""]
+            if kind == "base"
+            else [f"{v:.3f}" for v in np.percentile(np.abs(errors), (50.0, 95.0))]
+        )
         rows.append((kind, str(len(scores)), f"{100.0 * share:.1f} ± {margin:.1f} %", *typical))
         figures[f"excitation_coverage_{condition}_{kind.lower().replace(' ', '_')}"] = share
         if kind not in unloaded and (share < COVERED[0] or _wide(np.abs(scores) < 1.96)):
             wrong.append(f"coverage of {kind}")
-    print_table((f"{condition}: parameter", "values", "intervals that hold", "median error", "95th percentile"), rows)
+    print_table(
+        (
+            f"{condition}: parameter",
+            "values",
+            "intervals that hold",
+            "median error",
+            "95th percentile",
+        ),
+        rows,
+    )
     return wrong
 
 
@@ -400,9 +460,15 @@ def exponents(condition: str, outcomes: Sequence[Outcome], figures: dict[str, fl
     middle, most = (float(np.percentile(errors, share)) for share in (50.0, SHARE))
     of = {"within": within, "median": middle, "90_percent": most}
     figures.update({f"excitation_exponent_{condition}_{name}": value for name, value in of.items()})
-    print(f"exponents: {100.0 * within:.0f} % within {EXPONENT}; median {middle:.3f}, 90th percentile {most:.3f}")
-    found, there, more, without = np.sum([one.stribeck for one in outcomes if not one.refusal], axis=0)
-    print(f"Stribeck rise found on {found} of {there} elements that have one, and on {more} of {without} without")
+    print(
+        f"exponents: {100.0 * within:.0f} % within {EXPONENT}; median {middle:.3f}, 90th percentile {most:.3f}"
+    )
+    found, there, more, without = np.sum(
+        [one.stribeck for one in outcomes if not one.refusal], axis=0
+    )
+    print(
+        f"Stribeck rise found on {found} of {there} elements that have one, and on {more} of {without} without"
+    )
     return [] if most < EXPONENT else ["exponents"]
 
 
@@ -443,7 +509,11 @@ def main() -> int:
         outcomes = [*in_processes(job, jobs, condition).values()]
         whole = len(outcomes) == len(jobs)
         refusals = [one.refusal for one in outcomes if one.refusal]
-        print(f"{condition}: {len(refusals)} of {len(outcomes)} arms refused", *sorted(set(refusals)), sep="\n")
+        print(
+            f"{condition}: {len(refusals)} of {len(outcomes)} arms refused",
+            *sorted(set(refusals)),
+            sep="\n",
+        )
         figures: dict[str, float] = {}
         for part in (coverage, exponents, prediction) if len(outcomes) > len(refusals) else ():
             wrong += [f"{condition}: {text}" for text in part(condition, outcomes, figures)]

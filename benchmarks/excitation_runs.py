@@ -147,10 +147,14 @@ class ExcitationRun:
 
     def record(self, arm: SyntheticArm) -> JointRecord:
         """Return the run as it is read from a bag."""
-        from rx90_emulator.identification.records import JointRecord  # logs need nothing of the identification
+        from rx90_emulator.identification.records import (
+            JointRecord,
+        )  # logs need nothing of the identification
 
         digest = hashlib.sha256(self.name.encode()).hexdigest()
-        return JointRecord(arm.names, self.time, self.position, self.velocity, self.torque, Path(self.name), digest)
+        return JointRecord(
+            arm.names, self.time, self.position, self.velocity, self.torque, Path(self.name), digest
+        )
 
 
 def torque_along(arm: SyntheticArm, time: Array, motion: Motion, load: float = 0.0) -> Array:
@@ -189,7 +193,8 @@ def measured(
     motor_torque = np.linalg.solve(turns.T, joint.T).T
     rms = np.sqrt(np.mean(motor_torque**2, axis=0))
     noise = rms * (
-        d.white * rng.normal(size=joint.shape) + d.coloured * _first_order(rng, d.corner / rate, joint.shape)
+        d.white * rng.normal(size=joint.shape)
+        + d.coloured * _first_order(rng, d.corner / rate, joint.shape)
     )
     angle = exact[0] @ turns.T * arm.gear
     harmonic, phase = rng.choice([1.0, 2.0, 6.0], n), rng.uniform(0.0, 2.0 * np.pi, n)
@@ -203,7 +208,9 @@ def measured(
     velocity = np.gradient(position, stamps, axis=0)
     torque = joint + (noise + ripple) @ turns
     name = f"run_{seed}"
-    return ExcitationRun(stamps, exact[0], position, velocity, torque, exact, noise @ turns, ripple @ turns, name)
+    return ExcitationRun(
+        stamps, exact[0], position, velocity, torque, exact, noise @ turns, ripple @ turns, name
+    )
 
 
 def _first_order(rng: np.random.Generator, corner: float, shape: tuple[int, ...]) -> Array:
@@ -214,7 +221,9 @@ def _first_order(rng: np.random.Generator, corner: float, shape: tuple[int, ...]
     return np.asarray(lfilter([1.0], [1.0, -keep], white, axis=0))
 
 
-def write_run(run: ExcitationRun, arm: SyntheticArm, folder: Path, *, wrong: float = 0.0) -> tuple[Path, Path]:
+def write_run(
+    run: ExcitationRun, arm: SyntheticArm, folder: Path, *, wrong: float = 0.0
+) -> tuple[Path, Path]:
     """Write a bag named as the run, and the URDF; return the names of both.
 
     Args:
@@ -228,5 +237,7 @@ def write_run(run: ExcitationRun, arm: SyntheticArm, folder: Path, *, wrong: flo
     urdf.write_text(arm.urdf(wrong), encoding="utf-8")
     stamps = np.rint((run.time + 1.0) * 1e9).astype(np.int64)
     fields = {"position": run.position, "velocity": run.velocity, "effort": run.torque}
-    write_joint_states(folder / run.name, [JointSeries("joint_states", arm.names, stamps, **fields)])
+    write_joint_states(
+        folder / run.name, [JointSeries("joint_states", arm.names, stamps, **fields)]
+    )
     return folder / run.name, urdf

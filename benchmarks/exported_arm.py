@@ -70,7 +70,10 @@ def run_exported(setup: Setup, task: LineTask, target: str, steps: int = 1) -> E
     controller.reset(encoders.position)
     controller.trajectory.reset(plan.start_pose)
     controller.trajectory.accept(plan.points, 0, 0)
-    position, began = np.empty((round(plan.duration * setup.rates.position_hz), data.qpos.size)), time.process_time()
+    position, began = (
+        np.empty((round(plan.duration * setup.rates.position_hz), data.qpos.size)),
+        time.process_time(),
+    )
     for k in range(len(position) * ratio):
         if k % ratio == 0:
             position[k // ratio] = data.qpos
@@ -80,7 +83,9 @@ def run_exported(setup: Setup, task: LineTask, target: str, steps: int = 1) -> E
     return ExportedRun(position, (time.process_time() - began) / (len(position) * ratio))
 
 
-def compare(setup: Setup, task: LineTask, steps: int = 1) -> dict[str, tuple[float, float, float, float]]:
+def compare(
+    setup: Setup, task: LineTask, steps: int = 1
+) -> dict[str, tuple[float, float, float, float]]:
     """Return for here and each target: s per tick, path error, its RMS, m, and how far the joints are apart, rad."""
     ours = run_line(setup, task)
     began = time.process_time()
@@ -118,7 +123,9 @@ def tune(setup: Setup, task: LineTask) -> list[tuple[str, ...]]:
             there = here.path_accuracy.worst
             if target is not None:
                 position = run_exported(tuned, task, target).position
-                there = path_accuracy(tuned.robot, task, here.times[: len(position)], position).worst
+                there = path_accuracy(
+                    tuned.robot, task, here.times[: len(position)], position
+                ).worst
             found.append((there, here.path_accuracy.worst, factor))
         there, worst, factor = min(found)
         rows.append((target or "here", f"{factor:g}", f"{there * 1e3:.4f}", f"{worst * 1e3:.4f}"))
@@ -137,7 +144,9 @@ def main() -> int:
     files = RobotFiles.named(options.robot)
     setup, task = Setup.load(files), load_task(files.required("task"))
     if options.tune:
-        print_table(("tuned in", "factor on kv, ki", "path error there mm", "here mm"), tune(setup, task))
+        print_table(
+            ("tuned in", "factor on kv, ki", "path error there mm", "here mm"), tune(setup, task)
+        )
         return 0
     found = compare(with_gains(setup, options.factor), task, options.steps)
     rows = [

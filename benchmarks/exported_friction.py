@@ -28,8 +28,14 @@ def exports(friction: FrictionFile, name: str) -> list[Export]:
     """Return the exports of a robot with a changed element."""
     element = friction.elements[name]
     harder = element.replaced(
-        tau_c={"positive": element.tau_c.positive, "negative": SIGNS_APART * element.tau_c.positive},
-        tau_s={"positive": element.tau_s.positive, "negative": SIGNS_APART * element.tau_s.positive},
+        tau_c={
+            "positive": element.tau_c.positive,
+            "negative": SIGNS_APART * element.tau_c.positive,
+        },
+        tau_s={
+            "positive": element.tau_s.positive,
+            "negative": SIGNS_APART * element.tau_s.positive,
+        },
         alpha=EXPONENT,
     )
     changed = friction.replaced(elements={**friction.elements.entries, name: harder})
@@ -42,13 +48,23 @@ def exports(friction: FrictionFile, name: str) -> list[Export]:
 
 def main() -> None:
     """Print the differences; draw the curves where asked for."""
-    options = arguments(__doc__, ("--friction", None, "friction file"), ("--element", "joint_1", "element"), PLOT)
+    options = arguments(
+        __doc__, ("--friction", None, "friction file"), ("--element", "joint_1", "element"), PLOT
+    )
     friction = FrictionFile.read(options.friction or RobotFiles.named(DEFAULT_ROBOT).friction)
     rows, fits = [], {}
     for export in exports(friction, options.element):
         (fit,) = [fit for fit in export.fits if fit.name == options.element]
         away = "/".join(f"{torque:.3g}" for torque in dict.fromkeys(fit.break_away[1]))
-        rows.append((export.target.name, f"{fit.largest:.3g}", f"{fit.rms:.3g}", away, f"{fit.stiffness[1]:.3g}"))
+        rows.append(
+            (
+                export.target.name,
+                f"{fit.largest:.3g}",
+                f"{fit.rms:.3g}",
+                away,
+                f"{fit.stiffness[1]:.3g}",
+            )
+        )
         fits[export.target.name] = fit
     print_table(("target", "largest Nm", "RMS Nm", "break-away Nm", "presliding Nm/rad"), rows)
     if options.plot is not None:

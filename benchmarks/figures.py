@@ -66,7 +66,9 @@ def tables() -> dict[str, str]:
 
 def keys() -> set[str]:
     """Return the keys of out/bench.json that tables name."""
-    return {key for rows in tables().values() for _, key, _, _ in string.Formatter().parse(rows) if key}
+    return {
+        key for rows in tables().values() for _, key, _, _ in string.Formatter().parse(rows) if key
+    }
 
 
 def pages() -> list[Path]:
@@ -100,7 +102,10 @@ def add(measured: Measured, figures: Mapping[str, float]) -> dict[str, list[floa
     for name in names & figures.keys():
         if not isinstance(figures[name], int | float):
             raise ConfigError(f"{name} is {quoted(figures[name])}; accepted: a number")
-    both = {name: {*measured.get(name, ()), *([figures[name]] if name in figures else [])} for name in sorted(names)}
+    both = {
+        name: {*measured.get(name, ()), *([figures[name]] if name in figures else [])}
+        for name in sorted(names)
+    }
     return {name: sorted(values) for name, values in both.items() if values}
 
 
@@ -127,14 +132,23 @@ def read(file: Path) -> dict:  # type: ignore[type-arg]  # lists in measured.jso
 
 def main() -> int:
     """Add what is asked for and write the tables; return 2 if a file is refused."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.figures", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--add", type=Path, metavar="FILE", help="what one machine has measured, as in out/bench.json")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.figures", description=(__doc__ or "").splitlines()[0]
+    )
+    parser.add_argument(
+        "--add",
+        type=Path,
+        metavar="FILE",
+        help="what one machine has measured, as in out/bench.json",
+    )
     options = parser.parse_args()
     try:
         measured = read(MEASURED)
         if options.add is not None:
             measured = add(measured, read(options.add))
-        written = {page: with_figures(page.read_text(encoding="utf-8"), measured) for page in pages()}
+        written = {
+            page: with_figures(page.read_text(encoding="utf-8"), measured) for page in pages()
+        }
     except Rx90Error as error:
         print(error, file=sys.stderr)
         return error.exit_code

@@ -41,7 +41,10 @@ THROUGH = np.vstack([np.eye(6), [0, 0, 0, 0, 0, 1]])
 THROUGH[4, 5] = -1
 """Torques that go through the elements for those of the joints: all of joint 6 goes through motor 6, past motor 5."""
 STEPS = np.array([1, 2, 4, 8])
-_LOAD, _SCATTER = LoadPart(driving=0.05, driven=0.08), ScatterPart(deviation=0.02, correlation_time=10.0)
+_LOAD, _SCATTER = (
+    LoadPart(driving=0.05, driven=0.08),
+    ScatterPart(deviation=0.02, correlation_time=10.0),
+)
 _WARM = TemperaturePart(
     reference=40.0,
     lowest=20.0,
@@ -76,7 +79,9 @@ CASES = {
     "load, ripple, scatter": Case({"load": _LOAD, "ripple": _RIPPLE, "scatter": _SCATTER}),
     "no part, and the controller's model": Case({}, known=True),
     "load, in the controller's model, too": Case({"load": _LOAD}, known=True),
-    "load, temperature, viscous exponent, in the controller's model, too": Case(_ALL_WARM, known=True),
+    "load, temperature, viscous exponent, in the controller's model, too": Case(
+        _ALL_WARM, known=True
+    ),
 }
 _KEYS = {
     "load": "parts_load",
@@ -117,7 +122,8 @@ def speed(rounds: int = ROUNDS) -> dict[str, list[float]]:
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder) / f"friction_{number}.yaml" for number in range(len(CASES))]
         setups = {
-            name: setup_of(case, work.setup, file) for (name, case), file in zip(CASES.items(), files, strict=True)
+            name: setup_of(case, work.setup, file)
+            for (name, case), file in zip(CASES.items(), files, strict=True)
         }
         ticks = work.duration * work.setup.rates.base_hz
         runs = {
@@ -169,14 +175,20 @@ class StiffArm:
             z_dot, friction = self._friction(INPUT @ q, INPUT @ v, z, transmitted)
             inputs = (np.tile(x, (7, 1)) for x in (q, v))
             answers = rigid_torque(
-                self.setup.robot.model, rotors, self.setup.drives.spring_torque, *inputs, np.eye(7, 6, -1)
+                self.setup.robot.model,
+                rotors,
+                self.setup.drives.spring_torque,
+                *inputs,
+                np.eye(7, 6, -1),
             )
             torque = drive - INPUT.T @ friction
             acceleration = np.linalg.solve((answers[1:] - answers[0]).T, torque - answers[0])
             through = THROUGH @ (torque - rotors @ acceleration)
             return np.concatenate([v, acceleration, z_dot, (through - transmitted) / relax])
 
-        result = solve_ivp(rates, (0.0, duration), state, "Radau", rtol=tolerance, atol=tolerance * 1e-2)
+        result = solve_ivp(
+            rates, (0.0, duration), state, "Radau", rtol=tolerance, atol=tolerance * 1e-2
+        )
         if not result.success:
             raise RuntimeError(f"the stiff solver gave up: {result.message}")
         return np.asarray(result.y[:, -1])
@@ -184,7 +196,8 @@ class StiffArm:
     def _friction(self, angle: Array, v: Array, z: Array, load: Array) -> tuple[Array, Array]:
         """Return the rate of the bristles and the torque of the elements, equations 17 to 19 with the parts."""
         tau_c, tau_s = (
-            (1 + self._waves(angle)) * np.where(v >= 0, self._of(f"{name}_positive"), self._of(f"{name}_negative"))
+            (1 + self._waves(angle))
+            * np.where(v >= 0, self._of(f"{name}_positive"), self._of(f"{name}_negative"))
             for name in ("tau_c", "tau_s")
         )
         lifting, size = load * v >= 0, np.abs(load)
@@ -202,7 +215,9 @@ class StiffArm:
         turns = [*self.setup.drives.gear, self.setup.drives.gear[5]]
         waves = np.zeros(7)
         for i, element in enumerate(self._elements):
-            for at, part in ((angle[i], "joint"), (turns[i] * angle[i], "motor")) if element.ripple else ():
+            for at, part in (
+                ((angle[i], "joint"), (turns[i] * angle[i], "motor")) if element.ripple else ()
+            ):
                 h, a, p = (np.array(getattr(element.ripple, f"{part}_{what}")) for what in
                            ("harmonic", "amplitude", "phase"))  # fmt: skip
                 waves[i] += np.sum(a * np.cos(h * at + p))
@@ -258,9 +273,26 @@ def main() -> int:
     orders = np.vstack([np.full(4, np.nan), np.log2(errors[:-1] / errors[1:])])
     print()
     print_table(
-        ("steps in a tick", "joints, µrad", "order", "mrad/s", "order", "bristles, µrad", "order", "load, Nm", "order"),
+        (
+            "steps in a tick",
+            "joints, µrad",
+            "order",
+            "mrad/s",
+            "order",
+            "bristles, µrad",
+            "order",
+            "load, Nm",
+            "order",
+        ),
         [
-            (str(n), *(text for i in range(4) for text in (f"{row[i] * scale[i]:.3g}", f"{order[i]:.2f}")))
+            (
+                str(n),
+                *(
+                    text
+                    for i in range(4)
+                    for text in (f"{row[i] * scale[i]:.3g}", f"{order[i]:.2f}")
+                ),
+            )
             for n, row, order in zip(STEPS, errors, orders, strict=True)
             for scale in [(1e6, 1e3, 1e6, 1.0)]
         ],

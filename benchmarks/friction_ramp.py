@@ -26,14 +26,34 @@ import numpy as np
 
 from benchmarks.random_rigs import random_rig, shipped_rig, truth_of
 from benchmarks.report import accepted, arguments, in_processes, print_table
-from friction_bench.experiment.identification import IntervalEstimate, RampFriction, evaluate, identify_ramps
+from friction_bench.experiment.identification import (
+    IntervalEstimate,
+    RampFriction,
+    evaluate,
+    identify_ramps,
+)
 from friction_bench.experiment.job import plan_from, run_planned, run_ramp
 from friction_bench.experiment.record import RampRecord
 from friction_bench.experiment.session import near_limits
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort, native_library
-from friction_bench.rig.plant import SLICE, RigJoint, Shaft, joint_record, shaft_of, turn, turn_with_joint
-from friction_bench.rig.rig_file import CODES, RAMP_FRACTION, Emulation, JointFriction, Rig, load_rig
+from friction_bench.rig.plant import (
+    SLICE,
+    RigJoint,
+    Shaft,
+    joint_record,
+    shaft_of,
+    turn,
+    turn_with_joint,
+)
+from friction_bench.rig.rig_file import (
+    CODES,
+    RAMP_FRACTION,
+    Emulation,
+    JointFriction,
+    Rig,
+    load_rig,
+)
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.share import SOURCE_RIG, config_path
@@ -83,7 +103,11 @@ class Cell:
         """Return the shipped rig with this friction and inertia, without a joint."""
         rig = shipped_rig()
         assert rig.emulation is not None
-        load = (self.inertia - rig.emulation.motor.rotor_inertia) * rig.gear.ratio**2 * rig.gear.efficiency
+        load = (
+            (self.inertia - rig.emulation.motor.rotor_inertia)
+            * rig.gear.ratio**2
+            * rig.gear.efficiency
+        )
         return rig.replaced(
             emulation={
                 "motor_friction": {"coulomb": self.coulomb, "viscous": self.viscous},
@@ -116,7 +140,9 @@ def grid_experiment(job: tuple[Cell, int]) -> GridOutcome:
     client = RigClient(VirtualPort(EmulatedRig(rig, seed)), rig)
     client.connect()
     records = [
-        run_ramp(client, slope, cell.end_torque, False, f"{slope:g}") for _ in range(REPEATS) for slope in cell.slopes
+        run_ramp(client, slope, cell.end_torque, False, f"{slope:g}")
+        for _ in range(REPEATS)
+        for slope in cell.slopes
     ]
     found = identify_ramps(records, rig.torque.scale_uncertainty)
     errors, hits = {}, {}
@@ -150,7 +176,9 @@ def _ramp(
             wanted = torque[k] + noise[k, i] if torque[k] > 0.0 else 0.0
             motor = max(0.0, min(wanted, highest))
             if with_bristle:
-                angle, speed, bristle = turn_with_joint((angle, speed, bristle), motor, shaft, gear, joint, 1e-3)
+                angle, speed, bristle = turn_with_joint(
+                    (angle, speed, bristle), motor, shaft, gear, joint, 1e-3
+                )
             else:
                 angle, speed = turn(angle, speed, motor, shaft, 1e-3)
     return angles, motors
@@ -175,7 +203,12 @@ class QuickRig:
         if plant.amplifier.ramp_error:
             gain *= 1.0 + plant.amplifier.ramp_error * self._rng.standard_normal()
         if loaded and plant.joint_spread and isinstance(plant.joint, JointFriction):
-            more = plant.joint_spread * self._rng.standard_normal() * plant.joint.coulomb / self.rig.joint_scale
+            more = (
+                plant.joint_spread
+                * self._rng.standard_normal()
+                * plant.joint.coulomb
+                / self.rig.joint_scale
+            )
             shaft = shaft._replace(coulomb=shaft.coulomb + more)
         return gain, shaft
 
@@ -206,7 +239,9 @@ class QuickRig:
         counts = np.floor(angle * scale + self._rng.random())
         beyond = near_limits(rig, counts)
         end = int(np.argmax(beyond)) if beyond.any() else ticks.size
-        reading = np.maximum(0.0, motor + plant.amplifier.adc_noise * self._rng.standard_normal(ticks.size))
+        reading = np.maximum(
+            0.0, motor + plant.amplifier.adc_noise * self._rng.standard_normal(ticks.size)
+        )
         codes = np.minimum(CODES, np.rint(reading / rig.torque.adc_full_scale * CODES))
         return RampRecord(
             time=ticks[:end] * rig.tick,
@@ -288,7 +323,9 @@ def measure_grid() -> tuple[list[str], bool]:
     """Print the figures of the grid; return what is not accepted, and whether all was measured."""
     cells = grid()
     native_library()  # built once, before several processes want it
-    jobs = [(cell, 1000 * number + seed) for number, cell in enumerate(cells) for seed in range(SEEDS)]
+    jobs = [
+        (cell, 1000 * number + seed) for number, cell in enumerate(cells) for seed in range(SEEDS)
+    ]
     found = in_processes(grid_experiment, jobs, "grid", 4)
     outcomes, whole = [*found.values()], len(found) == len(jobs)
     by_cell: dict[Cell, list[GridOutcome]] = {}
@@ -297,7 +334,9 @@ def measure_grid() -> tuple[list[str], bool]:
     if not found:
         return [], whole
     cells, results = [*by_cell], [*by_cell.values()]
-    print(f"{len(outcomes)} experiments: {len(cells)} rigs, {SEEDS} seeds, {REPEATS} repeats at 2 slopes")
+    print(
+        f"{len(outcomes)} experiments: {len(cells)} rigs, {SEEDS} seeds, {REPEATS} repeats at 2 slopes"
+    )
     rows, wrong = [], []
     for quantity in QUANTITIES:
         bias = np.array([np.mean([o.errors[quantity] for o in cell]) for cell in results])
@@ -306,7 +345,9 @@ def measure_grid() -> tuple[list[str], bool]:
         rows.append((quantity, f"{100 * bias.mean():+.3f} %", f"{100 * worst:.2f} %", cover))
         if worst >= BIAS or not COVERAGE[0] <= share <= COVERAGE[1]:
             wrong.append(quantity)
-    print_table(("estimate", "mean bias", "worst rig's bias (< 1 %)", "coverage (90 to 99 %)"), rows)
+    print_table(
+        ("estimate", "mean bias", "worst rig's bias (< 1 %)", "coverage (90 to 99 %)"), rows
+    )
     expected = np.array([np.mean([o.inertia_times_a for o in cell]) for cell in results])
     ratio = np.array([np.mean([o.excess for o in cell]) for cell in results]) / expected
     share_of_f_c = expected / [cell.coulomb for cell in cells]
@@ -323,7 +364,9 @@ def measure_random(rigs: int, seed: int, kinds: tuple[str, ...]) -> tuple[list[s
     wrong, rows, whole = [], [], True
     for kind in kinds:
         outcomes = [
-            *in_processes(random_experiment, [(seed, number, kind) for number in range(rigs)], kind, 4).values()
+            *in_processes(
+                random_experiment, [(seed, number, kind) for number in range(rigs)], kind, 4
+            ).values()
         ]
         whole = len(outcomes) == rigs
         names = dict.fromkeys(name for outcome in outcomes for name in outcome.hits)
@@ -332,7 +375,9 @@ def measure_random(rigs: int, seed: int, kinds: tuple[str, ...]) -> tuple[list[s
             share, cover = _covered([outcome.hits[name] for outcome in having])
             errors = 100 * np.array([outcome.errors[name] for outcome in having])
             most = f"{np.percentile(np.abs(errors), 95):.2f} %"
-            rows.append((f"{kind}: {name}", str(len(having)), f"{errors.mean():+.2f} %", most, cover))
+            rows.append(
+                (f"{kind}: {name}", str(len(having)), f"{errors.mean():+.2f} %", most, cover)
+            )
             if "source" not in name and not COVERAGE[0] <= share <= COVERAGE[1] + 0.01:
                 wrong.append(f"{kind}: {name}")
         refusals = [outcome.refusal for outcome in outcomes if outcome.refusal]
@@ -341,7 +386,9 @@ def measure_random(rigs: int, seed: int, kinds: tuple[str, ...]) -> tuple[list[s
         print(*sorted(set(refusals)), sep="\n")
         if not whole:
             break
-    print_table(("estimate", "rigs", "mean error", "95 % of errors below", "intervals that hold"), rows)
+    print_table(
+        ("estimate", "rigs", "mean error", "95 % of errors below", "intervals that hold"), rows
+    )
     return wrong, whole
 
 

@@ -48,7 +48,9 @@ class Said:
     @property
     def broken(self) -> str:
         """Return what no log of a user may ever bring to the terminal, or nothing; a refusal may quote 'nan'."""
-        found = re.search(r"Traceback|LinAlgError|IndexError|(?<!')\bnan\b", self.text, re.IGNORECASE)
+        found = re.search(
+            r"Traceback|LinAlgError|IndexError|(?<!')\bnan\b", self.text, re.IGNORECASE
+        )
         if found:
             return found.group()
         return "" if self.code in {0, 1, 2} else f"exit code {self.code}"
@@ -146,7 +148,9 @@ class JointLog:
 
     def part(self, rows: Any) -> JointLog:
         """Return some rows."""
-        values = {name: getattr(self, name)[rows] for name in ("time", "position", "velocity", "torque")}
+        values = {
+            name: getattr(self, name)[rows] for name in ("time", "position", "velocity", "torque")
+        }
         return replace(self, **values)
 
     @property
@@ -169,7 +173,10 @@ def signal_map(names: Sequence[str], *, velocity: bool = True) -> str:
     units = {"position": ("q", "rad"), "velocity": ("v", "rad/s"), "effort": ("f", "Nm")}
     if not velocity:
         del units["velocity"]
-    columns = {key: {"columns": [f"{kind}{k}" for k in numbers], "unit": unit} for key, (kind, unit) in units.items()}
+    columns = {
+        key: {"columns": [f"{kind}{k}" for k in numbers], "unit": unit}
+        for key, (kind, unit) in units.items()
+    }
     return yaml.safe_dump({"time": {"column": "t", "unit": "s"}, "names": [*names], **columns})
 
 
@@ -217,7 +224,9 @@ class Written:
     @cached_property
     def parameters(self) -> dict[str, Any]:
         """Return parameters.yaml."""
-        return dict(yaml.safe_load((self.friction.parent / "parameters.yaml").read_text(encoding="utf-8")))
+        return dict(
+            yaml.safe_load((self.friction.parent / "parameters.yaml").read_text(encoding="utf-8"))
+        )
 
     def unseen(self) -> tuple[float, float]:
         """Return the torque errors of all joints that the command found, by base parameters and by files."""
@@ -241,7 +250,9 @@ class Written:
         held = [number for number, name in enumerate(whole.names) if number and name not in joints]
         return pin.buildReducedModel(whole, held, pin.neutral(whole))
 
-    def error(self, arm: PlainArm, log: Log, joints: Sequence[str], rotors: Array | None = None) -> float:
+    def error(
+        self, arm: PlainArm, log: Log, joints: Sequence[str], rotors: Array | None = None
+    ) -> float:
         """Return the torque error of a log by the files alone, bristles left out, over all joints.
 
         Args:
@@ -262,11 +273,21 @@ class Written:
 
         def torque(motion: Array) -> Array:
             data = model.createData()
-            bare = np.array([pin.rnea(model, data, *row).copy() for row in motion.transpose(1, 0, 2)])
+            bare = np.array(
+                [pin.rnea(model, data, *row).copy() for row in motion.transpose(1, 0, 2)]
+            )
             inputs = motion[1] @ arm.element_matrix.T
-            friction = np.column_stack([law.steady_torque(inputs[:, k]) for k, law in enumerate(laws)])
+            friction = np.column_stack(
+                [law.steady_torque(inputs[:, k]) for k, law in enumerate(laws)]
+            )
             spring = stated["spring"] * np.sin(motion[0])
-            return np.asarray(bare + motion[2] @ inertia + spring + stated["offset"] + friction @ arm.element_matrix)
+            return np.asarray(
+                bare
+                + motion[2] @ inertia
+                + spring
+                + stated["offset"]
+                + friction @ arm.element_matrix
+            )
 
         return arm.rows(log, torque).error(np.ones(1))
 
@@ -281,6 +302,8 @@ def true_base(group: str, arm: SyntheticArm) -> float:
     for sign, factor, name, number in _TERM.findall(group):
         k = int(number) - 1
         single = {"Ia": arm.rotor, "offset": arm.offset, "k": arm.spring}
-        value = single[name][k] if name in single else arm.links[k].parameters[_PINOCCHIO.index(name)]
+        value = (
+            single[name][k] if name in single else arm.links[k].parameters[_PINOCCHIO.index(name)]
+        )
         total += (-1.0 if sign == "-" else 1.0) * float(factor or 1.0) * float(value)
     return total

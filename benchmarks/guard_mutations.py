@@ -28,7 +28,9 @@ def plain_arm(seed: int, joints: int) -> SyntheticArm:
     return replace(arm, friction=laws, spring=np.zeros(joints))
 
 
-def excitation_log(arm: SyntheticArm, seed: int, moving: Array | None = None, period: float = 12.0) -> JointLog:
+def excitation_log(
+    arm: SyntheticArm, seed: int, moving: Array | None = None, period: float = 12.0
+) -> JointLog:
     """Return a run; of the joints, shape (n,), only those that are `moving` move."""
     motion = FourierMotion.random(arm, seed, period=period, periods=1)
     if moving is not None:
@@ -48,14 +50,18 @@ def sweep_logs(arm: SyntheticArm, seed: int) -> list[JointLog]:
             for speed in np.geomspace(0.03, 1.5, 8):
                 for direction in (speed, -speed):
                     count = int(RATE * (0.2 + min(2.0, 0.8 / speed)))
-                    ramp = np.clip(np.arange(count) / 10.0, 0.0, 1.0) * np.clip(np.arange(count)[::-1] / 10.0, 0.0, 1.0)
+                    ramp = np.clip(np.arange(count) / 10.0, 0.0, 1.0) * np.clip(
+                        np.arange(count)[::-1] / 10.0, 0.0, 1.0
+                    )
                     velocity = np.outer(ramp * direction, np.eye(n)[joint])
                     position = pose + np.cumsum(velocity, axis=0) / RATE - velocity[:1]
                     times.append(begin + np.arange(count) / RATE)
                     positions.append(position)
                     velocities.append(velocity)
                     begin += count / RATE
-        time, position, velocity = (np.concatenate(parts) for parts in (times, positions, velocities))
+        time, position, velocity = (
+            np.concatenate(parts) for parts in (times, positions, velocities)
+        )
         torque = torque_along(arm, time, (position, velocity, np.zeros_like(position)))
         torque += 0.01 * arm.torque * rng.normal(size=torque.shape)
         logs.append(JointLog(arm.names, time, position, velocity, torque))
@@ -91,7 +97,13 @@ def repeats(log: JointLog, rng: np.random.Generator) -> JointLog:
 
 def doubled_rows(log: JointLog, rng: np.random.Generator) -> JointLog:
     """Write every third row twice, with the same stamp."""
-    return log.part(np.sort(np.append(np.arange(len(log.time)), np.arange(0, len(log.time), int(rng.integers(2, 5))))))
+    return log.part(
+        np.sort(
+            np.append(
+                np.arange(len(log.time)), np.arange(0, len(log.time), int(rng.integers(2, 5)))
+            )
+        )
+    )
 
 
 def gaps(log: JointLog, rng: np.random.Generator) -> JointLog:
@@ -121,7 +133,9 @@ def jump(log: JointLog, rng: np.random.Generator) -> JointLog:
     instant = int(rng.integers(1, len(log.time)))
 
     def jumping(values: Array) -> Array:
-        return values + 2.0 * np.pi * float(rng.choice([-1.0, 1.0])) * (np.arange(len(values)) >= instant)
+        return values + 2.0 * np.pi * float(rng.choice([-1.0, 1.0])) * (
+            np.arange(len(values)) >= instant
+        )
 
     return replace(log, position=_changed(log.position, _joint(log, rng), jumping))
 
@@ -185,7 +199,9 @@ def negated(log: JointLog, rng: np.random.Generator) -> JointLog:
     joint = _joint(log, rng)
     if rng.random() < 0.5:
         return replace(log, torque=_changed(log.torque, joint, np.negative))
-    position, velocity = (_changed(values, joint, np.negative) for values in (log.position, log.velocity))
+    position, velocity = (
+        _changed(values, joint, np.negative) for values in (log.position, log.velocity)
+    )
     return replace(log, position=position, velocity=velocity)
 
 
@@ -199,11 +215,34 @@ def noise_alone(log: JointLog, rng: np.random.Generator) -> JointLog:
     """Let the torque of a joint be noise."""
     size = float(np.std(log.torque)) * 0.02
     return replace(
-        log, torque=_changed(log.torque, _joint(log, rng), lambda values: size * rng.normal(size=len(values)))
+        log,
+        torque=_changed(
+            log.torque, _joint(log, rng), lambda values: size * rng.normal(size=len(values))
+        ),
     )
 
 
-OF_A_RUN: Sequence[Mutation] = (rest, repeats, doubled_rows, gaps, constant, few_rows, jump, holes, shocks, noise_alone)
+OF_A_RUN: Sequence[Mutation] = (
+    rest,
+    repeats,
+    doubled_rows,
+    gaps,
+    constant,
+    few_rows,
+    jump,
+    holes,
+    shocks,
+    noise_alone,
+)
 """Happen to each log by itself, and not to the one that is predicted."""
-OF_THE_USER: Sequence[Mutation] = (swapped, scaled, milliseconds, degrees, delay, gears, negated, turned)
+OF_THE_USER: Sequence[Mutation] = (
+    swapped,
+    scaled,
+    milliseconds,
+    degrees,
+    delay,
+    gears,
+    negated,
+    turned,
+)
 """Are the same in all logs, the one that is predicted among them."""

@@ -61,14 +61,18 @@ class Work(NamedTuple):
     def run(self, setup: Setup | None = None, substeps: int | None = None) -> RunResult:
         """Run the closed loop, of this setup or another one."""
         commands = (MotionCommand(0, self.points),)
-        return simulate_commands(setup or self.setup, commands, self.start, self.duration, substeps=substeps)
+        return simulate_commands(
+            setup or self.setup, commands, self.start, self.duration, substeps=substeps
+        )
 
     def setpoints(self, first: float, ticks: int) -> Array:
         """Return the set-points of `ticks` base ticks from time `first`, s, on, shape (m, 3, 6)."""
         controller, rates = self.setup.cs7b(), self.setup.rates
         controller.trajectory.reset(self.start)
         controller.trajectory.accept(self.points, 0, 0)
-        return controller.trajectory.corrected(round(first * rates.position_hz), -(-ticks // rates.ratio))
+        return controller.trajectory.corrected(
+            round(first * rates.position_hz), -(-ticks // rates.ratio)
+        )
 
 
 class ReferenceRun(NamedTuple):
@@ -95,7 +99,11 @@ def _derivative(y: Array, _: float, arm: Any, body: Any, friction: Any, drive: A
         g = (e.tau_c[sign] + (e.tau_s[sign] - e.tau_c[sign]) * stribeck) / e.c0
         z_dot = velocity - abs(velocity) / g * z[i]
         c1 = e.c1 * np.exp(-((velocity * e.inverse_omega_d) ** 2))
-        tau = e.c0 * z[i] + c1 * z_dot + e.c2 * velocity * max(abs(velocity), LINEAR_SPEED) ** (e.alpha - 1.0)
+        tau = (
+            e.c0 * z[i]
+            + c1 * z_dot
+            + e.c2 * velocity * max(abs(velocity), LINEAR_SPEED) ** (e.alpha - 1.0)
+        )
         derivative[12 + i] = z_dot
         if i < 6:
             torque[i] -= tau
@@ -123,7 +131,11 @@ class StiffPlant:
         """Take over the state of `plant`, whose encoders and observers go on to be read."""
         state = plant.state[0]
         self._plant, self._tolerance = plant, tolerance
-        self._gear, self._peak, self._period = setup.drives.gear, setup.drives.peak_torque, setup.rates.period
+        self._gear, self._peak, self._period = (
+            setup.drives.gear,
+            setup.drives.peak_torque,
+            setup.rates.period,
+        )
         self._friction = element_arrays(setup.friction.elements)
         self._drive = np.empty(6)
         self.y: Array = np.concatenate([state["q"], state["v"], state["z"]])
@@ -133,7 +145,11 @@ class StiffPlant:
         plant = self._plant
         to_joint_torque(self._gear, np.clip(command, -self._peak, self._peak), self._drive)
         arguments = (plant.constants["arm"], plant.state["body"], self._friction, self._drive)
-        tolerances = {"rtol": self._tolerance, "atol": 0.01 * self._tolerance, "mxstep": _MOST_STEPS}
+        tolerances = {
+            "rtol": self._tolerance,
+            "atol": 0.01 * self._tolerance,
+            "mxstep": _MOST_STEPS,
+        }
         self.y = odeint(_derivative, self.y, (0.0, self._period), args=arguments, **tolerances)[1]
         plant.state["q"][0] = self.y[:6]
         sample_drives(plant.constants, plant.state)
@@ -177,7 +193,9 @@ def hybrid_reference(
 
 def negligible_element() -> FrictionElement:
     """Return friction so small that it does not show."""
-    return FrictionElement(tau_c=1e-12, tau_s=1e-12, omega_s=1.0, delta=1.0, c0=1e-9, c1=0.0, c2=0.0)
+    return FrictionElement(
+        tau_c=1e-12, tau_s=1e-12, omega_s=1.0, delta=1.0, c0=1e-9, c1=0.0, c2=0.0
+    )
 
 
 def decoupled_setup(shipped: Setup, elements: Sequence[FrictionElement], inertia: float) -> Setup:
@@ -192,8 +210,12 @@ def decoupled_setup(shipped: Setup, elements: Sequence[FrictionElement], inertia
         inertia: of each rotor, kg m^2.
     """
     nothing, six = np.zeros((6, 3)), np.ones(6)
-    chain = shipped.robot.chain._replace(mass=np.zeros(6), com=nothing, inertia=np.zeros((6, 6)), gravity=np.zeros(3))
-    robot = dataclasses.replace(shipped.robot, chain=chain, lower=-1e9 * six, upper=1e9 * six, max_velocity=1e4 * six)
+    chain = shipped.robot.chain._replace(
+        mass=np.zeros(6), com=nothing, inertia=np.zeros((6, 6)), gravity=np.zeros(3)
+    )
+    robot = dataclasses.replace(
+        shipped.robot, chain=chain, lower=-1e9 * six, upper=1e9 * six, max_velocity=1e4 * six
+    )
     drives = shipped.drives.replaced(
         transmission={"gear": six, "rotor_inertia": inertia * six},
         motor={"torque_constant": six, "peak_current": 1e6 * six},

@@ -44,7 +44,16 @@ LEVELS = (0.0, 0.5, 1.0, 2.0)
 BLOCK = 4
 """Samples of joint_states that are averaged into one, as rx90 identify does: 250 Hz."""
 TWO_PERCENT = 0.02
-COLUMNS = ("median %", "95 % below", "worst %", "within 2 %", "covered %", "mean score", "not identifiable", "fit s")
+COLUMNS = (
+    "median %",
+    "95 % below",
+    "worst %",
+    "within 2 %",
+    "covered %",
+    "mean score",
+    "not identifiable",
+    "fit s",
+)
 
 
 @dataclass
@@ -92,7 +101,15 @@ def sweep(setup: Setup, experiment: Experiment) -> JointRecord:
     fields = states[: rows * BLOCK].reshape(rows, BLOCK, 3, 6).mean(axis=1).transpose(1, 0, 2)
     position, velocity, torque = np.ascontiguousarray(fields)
     time_axis = setup.rates.position_period * BLOCK * np.arange(rows)
-    return JointRecord(setup.robot.joint_names, time_axis, position, velocity, torque, Path(experiment.name), "0" * 64)
+    return JointRecord(
+        setup.robot.joint_names,
+        time_axis,
+        position,
+        velocity,
+        torque,
+        Path(experiment.name),
+        "0" * 64,
+    )
 
 
 def noisy(record: JointRecord, factor: float, rng: np.random.Generator) -> JointRecord:
@@ -108,7 +125,9 @@ def sliding(sets: int) -> None:
     plan = [one for one in make_plan(setup.robot, setup.drives) if one.kind is Kind.SLIDING]
     tallies = {level: Tally() for level in LEVELS}
     for seed in tqdm(range(sets), unit="set"):
-        friction = random_friction(setup.friction, np.random.default_rng(seed)) if seed else setup.friction
+        friction = (
+            random_friction(setup.friction, np.random.default_rng(seed)) if seed else setup.friction
+        )
         records = [sweep(replace(setup, friction=friction), experiment) for experiment in plan]
         for level, tally in tallies.items():
             rng = np.random.default_rng(seed)
@@ -122,7 +141,10 @@ def sliding(sets: int) -> None:
                     error = found.value / true - 1.0 if found.identifiable else np.nan
                     score = (found.value - true) / found.deviation if found.identifiable else np.nan
                     tally.add(f"{name} of {estimate.element}", error, score)
-    _print("sliding parameters", {f"noise of the rig x {level:g}": tally for level, tally in tallies.items()})
+    _print(
+        "sliding parameters",
+        {f"noise of the rig x {level:g}": tally for level, tally in tallies.items()},
+    )
     noisy_tally = tallies[1.0]
     figures = {"coverage": noisy_tally.covered, "within_2_percent": noisy_tally.within_2_percent}
     merge({f"identification_noisy_{name}": value for name, value in figures.items()})
@@ -147,7 +169,10 @@ def presliding(sets: int) -> None:
                 tallies[level, one.parameter].add(one.element, one.error, one.score)
             for name in ("c0", "c1"):
                 tallies[level, name].seconds.append(elapsed)
-    _print("presliding", {f"{name}, noise of the rig x {level:g}": one for (level, name), one in tallies.items()})
+    _print(
+        "presliding",
+        {f"{name}, noise of the rig x {level:g}": one for (level, name), one in tallies.items()},
+    )
 
 
 def _print(title: str, tallies: dict[str, Tally]) -> None:
@@ -160,7 +185,9 @@ def _print(title: str, tallies: dict[str, Tally]) -> None:
 def main() -> int:
     """Measure what is asked for."""
     options = arguments(
-        __doc__, ("what", ("sliding", "presliding"), "which regime"), ("--sets", 0, "0: 10 of sliding, 5 of presliding")
+        __doc__,
+        ("what", ("sliding", "presliding"), "which regime"),
+        ("--sets", 0, "0: 10 of sliding, 5 of presliding"),
     )
     if options.what == "sliding":
         sliding(options.sets or 10)

@@ -35,7 +35,16 @@ import numpy as np
 import yaml
 
 from benchmarks.excitation_runs import NOISE, FourierMotion, measured
-from benchmarks.guard_logs import JointLog, Said, Value, Written, run, run_warm, signal_map, true_base
+from benchmarks.guard_logs import (
+    JointLog,
+    Said,
+    Value,
+    Written,
+    run,
+    run_warm,
+    signal_map,
+    true_base,
+)
 from benchmarks.guard_mutations import (
     OF_A_RUN,
     OF_THE_USER,
@@ -56,7 +65,13 @@ from rx90_common.base.share import config_path
 from rx90_common.friction.friction_file import FrictionFile, load_friction
 
 IDENTIFY = ("rx90 identify",)
-FIT, SWEEPS, UNSEEN, SIGNALS, OUTPUT = "excitation", "sliding", "--validation", "--signals", "--output"
+FIT, SWEEPS, UNSEEN, SIGNALS, OUTPUT = (
+    "excitation",
+    "sliding",
+    "--validation",
+    "--signals",
+    "--output",
+)
 PLAIN_MODEL = ("--model", "coulomb-viscous")
 EXPERIMENT = ("rx90 experiment sliding", "engine")
 EXPORT = ("rx90 bag", "export")
@@ -109,7 +124,11 @@ class Guard:
 
 
 def excitation(
-    logs: Sequence[Path], unseen: Sequence[Path], signals: Path, output: Path, more: Sequence[object]
+    logs: Sequence[Path],
+    unseen: Sequence[Path],
+    signals: Path,
+    output: Path,
+    more: Sequence[object],
 ) -> Said:
     """Identify from excitation runs."""
     there = [UNSEEN, *unseen] if unseen else []
@@ -128,9 +147,14 @@ def _refused(said: Said) -> str:
 def sweeps(job: Job, folder: Path) -> Measured:
     """Identify one set of friction from the shipped plan with the rig's noise; set 0 is the shipped one."""
     shipped = load_friction(config_path(f"robots/{RX90}/friction.yaml"), RX90_ELEMENTS)
-    friction = random_friction(shipped, np.random.default_rng(job.number)) if job.number else shipped
+    friction = (
+        random_friction(shipped, np.random.default_rng(job.number)) if job.number else shipped
+    )
     file = folder / "true.yaml"
-    file.write_text(FrictionFile.of(dict(zip(friction.names, friction.elements, strict=True))).text(), encoding="utf-8")
+    file.write_text(
+        FrictionFile.of(dict(zip(friction.names, friction.elements, strict=True))).text(),
+        encoding="utf-8",
+    )
     series = run([*EXPERIMENT, "--friction", file, OUTPUT, folder / "series"])
     if series.code:
         return Measured({}, [], [f"the plan: {_refused(series)}"])
@@ -138,7 +162,9 @@ def sweeps(job: Job, folder: Path) -> Measured:
     index = yaml.safe_load((folder / "series" / "experiments.yaml").read_text(encoding="utf-8"))
     tables = [_noisy_table(folder / "series" / name, rng) for name in index["sliding"]]
     signals = _table_map(folder)
-    said = run_warm([*IDENTIFY, SWEEPS, *tables, SIGNALS, signals, OUTPUT, folder / "found.yaml", "--force"])
+    said = run_warm(
+        [*IDENTIFY, SWEEPS, *tables, SIGNALS, signals, OUTPUT, folder / "found.yaml", "--force"]
+    )
     if said.code:
         return Measured({}, [], [_refused(said)], said.processor)
     written = Written(folder / "found.yaml")
@@ -179,7 +205,10 @@ def _noisy_table(bag: Path, rng: np.random.Generator, topic: str = "joint_states
     noise = RIG_NOISE * STEADY_TORQUE * math.sqrt(block / BLOCK)
     fields["f"] = fields["f"] + noise * rng.normal(size=fields["f"].shape)
     rows = len(fields["t"]) // block * block
-    means = {kind: values[:rows].reshape(-1, block, *values.shape[1:]).mean(axis=1) for kind, values in fields.items()}
+    means = {
+        kind: values[:rows].reshape(-1, block, *values.shape[1:]).mean(axis=1)
+        for kind, values in fields.items()
+    }
     table = bag.with_suffix(".npz")
     np.savez(table, **means)
     return table
@@ -205,18 +234,28 @@ def emulated(job: Job, folder: Path) -> Measured:
         return _emulated_rx90(job, folder)
     rng = np.random.default_rng((job.number, 81))
     tx40 = job.name == TX40_LIKE
-    arm = random_arm(1000 + job.number, 6 if tx40 else None or int(rng.integers(2, 4)), coupled=True if tx40 else None)
+    arm = random_arm(
+        1000 + job.number,
+        6 if tx40 else None or int(rng.integers(2, 4)),
+        coupled=True if tx40 else None,
+    )
     laws = tuple(replace(law, tau_c=(law.coulomb, law.coulomb)) for law in arm.friction)
     arm = replace(arm, friction=laws, spring=np.zeros(len(arm.links)))
     rate = float(rng.choice([125.0, 250.0, 500.0]))
     logs = []
     for number in range(5):
-        motion = FourierMotion.random(arm, 1000 * job.number + number, period=24.0, periods=1, harmonics=12)
-        logs.append(JointLog.of(measured(arm, motion, rate, 1000 * job.number + number, NOISE), arm))
+        motion = FourierMotion.random(
+            arm, 1000 * job.number + number, period=24.0, periods=1, harmonics=12
+        )
+        logs.append(
+            JointLog.of(measured(arm, motion, rate, 1000 * job.number + number, NOISE), arm)
+        )
     return _identified(arm, logs, folder)
 
 
-def _identified(arm: SyntheticArm, logs: Sequence[JointLog], folder: Path, ignored: int | None = None) -> Measured:
+def _identified(
+    arm: SyntheticArm, logs: Sequence[JointLog], folder: Path, ignored: int | None = None
+) -> Measured:
     """Identify from all logs but the last, and compare with what is true, but for a joint that is ignored."""
     files = _written(arm, logs, folder)
     urdf = ["--urdf", folder / "arm.urdf"]
@@ -234,7 +273,9 @@ def _identified(arm: SyntheticArm, logs: Sequence[JointLog], folder: Path, ignor
         if number != ignored:
             truth = _true(law)
             result.held += [
-                value.score(truth[key]) < NORMAL for key, value in written.identified(name).items() if key in truth
+                value.score(truth[key]) < NORMAL
+                for key, value in written.identified(name).items()
+                if key in truth
             ]
     if ignored is None:
         for one in written.parameters["base_parameters"].values():
@@ -247,7 +288,9 @@ def _identified(arm: SyntheticArm, logs: Sequence[JointLog], folder: Path, ignor
 
 
 def _verdict(said: Said) -> str:
-    return next((line for line in said.text.splitlines() if line.startswith("validation")), "")[-200:]
+    return next((line for line in said.text.splitlines() if line.startswith("validation")), "")[
+        -200:
+    ]
 
 
 def _true(law: FrictionLaw) -> dict[str, float]:
@@ -272,10 +315,17 @@ def _emulated_rx90(job: Job, folder: Path) -> Measured:
     """Identify random friction of the RX90 from planned excitation in the closed loop, with the rig's noise."""
     shipped = load_friction(config_path(f"robots/{RX90}/friction.yaml"), RX90_ELEMENTS)
     friction = random_friction(shipped, np.random.default_rng((job.number, 82)))
-    friction = replace(friction, elements=tuple(_symmetric(element) for element in friction.elements))
+    friction = replace(
+        friction, elements=tuple(_symmetric(element) for element in friction.elements)
+    )
     file = folder / "true.yaml"
-    file.write_text(FrictionFile.of(dict(zip(friction.names, friction.elements, strict=True))).text(), encoding="utf-8")
-    series = run(["rx90 experiment excitation", "engine", "--friction", file, OUTPUT, folder / "series"])
+    file.write_text(
+        FrictionFile.of(dict(zip(friction.names, friction.elements, strict=True))).text(),
+        encoding="utf-8",
+    )
+    series = run(
+        ["rx90 experiment excitation", "engine", "--friction", file, OUTPUT, folder / "series"]
+    )
     if series.code:
         return Measured({}, [], [f"the plan: {_refused(series)}"])
     rng = np.random.default_rng((job.number, 83))
@@ -315,22 +365,37 @@ def poor(job: Job, folder: Path) -> Measured:
     arm, condition = plain_arm(job.number, 2 + job.number % 2), job.name
     count = 1 if condition == "few instants" else 3
     logs = [_poor_log(arm, 1000 * job.number + number, condition) for number in range(count)]
-    unseen = _poor_log(arm, 1000 * job.number + 3, "negated torque" if condition == "negated torque" else "good")
+    unseen = _poor_log(
+        arm, 1000 * job.number + 3, "negated torque" if condition == "negated torque" else "good"
+    )
     if condition != "negated torque":
-        return _identified(arm, [*logs, unseen], folder, len(arm.links) - 1 if condition == "dead joint" else None)
+        return _identified(
+            arm, [*logs, unseen], folder, len(arm.links) - 1 if condition == "dead joint" else None
+        )
     files = _written(arm, [*logs, unseen], folder)
     said = excitation(
-        files[:-1], files[-1:], folder / "signals.yaml", folder / "found", ["--urdf", folder / "arm.urdf"]
+        files[:-1],
+        files[-1:],
+        folder / "signals.yaml",
+        folder / "found",
+        ["--urdf", folder / "arm.urdf"],
     )
     right = said.code in {1, 2} and arm.names[-1] in said.text and "sign" in said.text
-    return Measured({}, [], [] if right else [f"a negated torque was not noticed: {_refused(said)}"], said.processor)
+    return Measured(
+        {},
+        [],
+        [] if right else [f"a negated torque was not noticed: {_refused(said)}"],
+        said.processor,
+    )
 
 
 def _poor_log(arm: SyntheticArm, seed: int, condition: str) -> JointLog:
     rng = np.random.default_rng((seed, 60))
     rate = 25.0 if condition == "low rate" else 200.0
     noise = replace(NOISE, jitter=0.3, stamp=1e-4) if condition == "jitter" else NOISE
-    log = JointLog.of(measured(arm, FourierMotion.random(arm, seed, periods=1), rate, seed, noise), arm)
+    log = JointLog.of(
+        measured(arm, FourierMotion.random(arm, seed, periods=1), rate, seed, noise), arm
+    )
     torque = log.torque.copy()
     if condition == "dead joint":
         torque[:, -1] = 0.02 * arm.torque[-1] * rng.normal(size=len(torque))
@@ -370,12 +435,25 @@ class Recording:
     robot: str = ""
 
 
-_UR = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
+_UR = (
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+)
 ARMS = {
     "tx40": Recording(RX90_ELEMENTS[:6], (100.0, 50.0), 8.61, (7.24, 6.49), robot="tx40"),
-    "panda": Recording(tuple(f"panda_joint{k}" for k in range(1, 8)), (7.0, 2.5), 4.97, (0.74, 0.97)),
-    "tiago_4": Recording(tuple(f"arm_{k}_joint" for k in range(1, 5)), (5.0, 2.0), 2.28, (8.45, 7.71)),
-    "tiago_7": Recording(tuple(f"arm_{k}_joint" for k in range(1, 8)), (5.0, 2.0), 2.28, (8.01, 7.41)),
+    "panda": Recording(
+        tuple(f"panda_joint{k}" for k in range(1, 8)), (7.0, 2.5), 4.97, (0.74, 0.97)
+    ),
+    "tiago_4": Recording(
+        tuple(f"arm_{k}_joint" for k in range(1, 5)), (5.0, 2.0), 2.28, (8.45, 7.71)
+    ),
+    "tiago_7": Recording(
+        tuple(f"arm_{k}_joint" for k in range(1, 8)), (5.0, 2.0), 2.28, (8.01, 7.41)
+    ),
     "ur10e": Recording(_UR, (10.0, 4.0), 12.93, (4.24, 3.69)),
 }
 MARGIN = 0.3
@@ -406,9 +484,13 @@ def _read(arm: Recording, folder: Path, name: str, signals: str = "signals.yaml"
     def columns(key: str) -> Array:
         return np.column_stack([table[stated[key]["columns"][place]] for place in places])
 
-    position = columns("position") * (math.pi / 180.0 if stated["position"]["unit"] == "deg" else 1.0)
+    position = columns("position") * (
+        math.pi / 180.0 if stated["position"]["unit"] == "deg" else 1.0
+    )
     constant = np.asarray(stated.get("torque_constant", 1.0), dtype=float)
-    torque = columns("effort") * np.asarray(stated["effort"].get("factor", 1.0), dtype=float) * constant
+    torque = (
+        columns("effort") * np.asarray(stated["effort"].get("factor", 1.0), dtype=float) * constant
+    )
     position = position - np.asarray(stated.get("zero", 0.0), dtype=float)
     if arm.robot:
         gear = _drives(config_path(f"robots/{arm.robot}/drives.yaml"), "gear")
@@ -434,15 +516,21 @@ def _plain(arm: Recording, folder: Path) -> PlainArm:
 
 
 def _drives(file: Path, name: str) -> Array:
-    return np.array(yaml.safe_load(file.read_text(encoding="utf-8"))["transmission"][name], dtype=float)
+    return np.array(
+        yaml.safe_load(file.read_text(encoding="utf-8"))["transmission"][name], dtype=float
+    )
 
 
-def recorded(job: Job, folder: Path, arm: Recording | None = None, signals: str = "signals.yaml") -> Measured:
+def recorded(
+    job: Job, folder: Path, arm: Recording | None = None, signals: str = "signals.yaml"
+) -> Measured:
     """Identify a real arm and predict the part of the recording that was not used."""
     arm = arm or ARMS[job.name]
     source = Path(job.recordings) / job.name
     logs = sorted(source.glob("fit*.csv"))
-    said = excitation(logs, [source / "unseen.csv"], source / signals, folder / "found", _options(arm, source))
+    said = excitation(
+        logs, [source / "unseen.csv"], source / signals, folder / "found", _options(arm, source)
+    )
     result = Measured({"code": said.code}, [], [said.broken] if said.broken else [], said.processor)
     if not (folder / "found" / "parameters.yaml").is_file():
         result.wrong.append(_refused(said))
@@ -467,7 +555,11 @@ def independent(job: Job, folder: Path) -> Measured:
     arm = ARMS[job.name]
     source = Path(job.recordings) / job.name
     said = excitation(
-        [source / "fit.csv"], [], source / "signals.yaml", folder / "found", [*_options(arm, source), *PLAIN_MODEL]
+        [source / "fit.csv"],
+        [],
+        source / "signals.yaml",
+        folder / "found",
+        [*_options(arm, source), *PLAIN_MODEL],
     )
     result = Measured({}, [], [said.broken] if said.broken else [], said.processor)
     if not (folder / "found" / "parameters.yaml").is_file():
@@ -480,7 +572,9 @@ def independent(job: Job, folder: Path) -> Measured:
         for key, place in (("tau_c_positive", number), ("c2", plain.elements + number)):
             if key in stated:
                 deviation = max(stated[key].deviation, float(plain.deviation[place]))
-                result.values[f"{name} {key}"] = abs(stated[key].value - float(plain.value[place])) / deviation
+                result.values[f"{name} {key}"] = (
+                    abs(stated[key].value - float(plain.value[place])) / deviation
+                )
     return result
 
 
@@ -489,13 +583,19 @@ def resting(job: Job, folder: Path) -> Measured:
     result = recorded(job, folder, WAM if job.number == 0 else replace(WAM, joints=("j2", "j4")))
     if "base" in result.values:
         found = Written(folder / "found" / "friction.yaml").identified("j2")
-        result.values["tau_c j2"] = found["tau_c_positive"].value if "tau_c_positive" in found else math.nan
+        result.values["tau_c j2"] = (
+            found["tau_c_positive"].value if "tau_c_positive" in found else math.nan
+        )
     return result
 
 
 def gears(job: Job, folder: Path) -> Measured:
     """Identify the arm of motor torques by the right map, or by that of a user who forgot gears or zeros."""
-    signals = "signals.yaml" if job.number == 0 else f"signals_without_{('', 'gear', 'zero')[job.number]}.yaml"
+    signals = (
+        "signals.yaml"
+        if job.number == 0
+        else f"signals_without_{('', 'gear', 'zero')[job.number]}.yaml"
+    )
     return recorded(job, folder, KR300, signals)
 
 
@@ -509,7 +609,17 @@ def ramps(job: Job, folder: Path) -> Measured:
     content = yaml.safe_load(model_text(rig))
     content.pop("file", None)  # where the rig was read
     file.write_text(yaml.safe_dump(content), encoding="utf-8")
-    said = run_warm([*RAMP, "--rig", file, "--port", f"emulated:{10_000 + job.number}", OUTPUT, folder / "ramps"])
+    said = run_warm(
+        [
+            *RAMP,
+            "--rig",
+            file,
+            "--port",
+            f"emulated:{10_000 + job.number}",
+            OUTPUT,
+            folder / "ramps",
+        ]
+    )
     result = Measured({}, [], [said.broken] if said.broken else [], said.processor)
     if not (folder / "ramps" / "estimates.yaml").is_file():
         result.wrong.append(_refused(said))
@@ -521,14 +631,28 @@ def ramps(job: Job, folder: Path) -> Measured:
             if not method.startswith("exact"):
                 continue
             for true, key in zip(truth, ("coulomb", "viscous", "inertia"), strict=True):
-                _note(result, f"{load} {key}", values.get(key), float(true), method.endswith("covariance"))
+                _note(
+                    result,
+                    f"{load} {key}",
+                    values.get(key),
+                    float(true),
+                    method.endswith("covariance"),
+                )
     joint = (estimates.get("joint") or {}).get("motor_side") or {}
     for place, key in enumerate(("coulomb", "viscous")):
-        _note(result, f"joint {key}", joint.get(key), float((truths["loaded"] - truths["no-load"])[place]), True)
+        _note(
+            result,
+            f"joint {key}",
+            joint.get(key),
+            float((truths["loaded"] - truths["no-load"])[place]),
+            True,
+        )
     return result
 
 
-def _note(result: Measured, name: str, stated: dict[str, Any] | None, true: float, first: bool) -> None:
+def _note(
+    result: Measured, name: str, stated: dict[str, Any] | None, true: float, first: bool
+) -> None:
     if stated is None or not first:
         return
     low, high = stated["interval_95"]
@@ -561,7 +685,9 @@ def seconds(job: Job, folder: Path) -> Measured:
             folder / "arm.urdf",
         ]
         said = run([str(word) for word in words])
-    return Measured({"elapsed": said.elapsed}, [], [_refused(said)] if said.code else [], said.processor)
+    return Measured(
+        {"elapsed": said.elapsed}, [], [_refused(said)] if said.code else [], said.processor
+    )
 
 
 # ---- friction that falls with speed
@@ -572,8 +698,13 @@ def falling(job: Job, folder: Path) -> Measured:
     rng = np.random.default_rng((job.number, 84))
     arm = plain_arm(300 + job.number, 3)
     shrink = 4.0 / float(np.mean(arm.torque))
-    links = tuple(replace(link, mass=shrink * link.mass, inertia=shrink * link.inertia) for link in arm.links)
-    laws = tuple(FrictionLaw((size, size), -rng.uniform(0.1, 0.2)) for size in rng.uniform(0.6, 1.2, 3).tolist())
+    links = tuple(
+        replace(link, mass=shrink * link.mass, inertia=shrink * link.inertia) for link in arm.links
+    )
+    laws = tuple(
+        FrictionLaw((size, size), -rng.uniform(0.1, 0.2))
+        for size in rng.uniform(0.6, 1.2, 3).tolist()
+    )
     arm = replace(
         arm,
         links=links,
@@ -585,11 +716,17 @@ def falling(job: Job, folder: Path) -> Measured:
     logs = []
     for number in range(3):
         seed = 100 * job.number + number
-        motion = FourierMotion.random(arm, seed, period=24.0, periods=1, harmonics=10, speed=(1.2, 1.5))
+        motion = FourierMotion.random(
+            arm, seed, period=24.0, periods=1, harmonics=10, speed=(1.2, 1.5)
+        )
         logs.append(JointLog.of(measured(arm, motion, 200.0, seed, NOISE), arm))
     files = _written(arm, logs, folder)
     said = excitation(
-        files[:-1], files[-1:], folder / "signals.yaml", folder / "found", ["--urdf", folder / "arm.urdf"]
+        files[:-1],
+        files[-1:],
+        folder / "signals.yaml",
+        folder / "found",
+        ["--urdf", folder / "arm.urdf"],
     )
     result = Measured({}, [], [said.broken] if said.broken else [], said.processor)
     if not (folder / "found" / "parameters.yaml").is_file():
@@ -635,11 +772,19 @@ def mutated(job: Job, folder: Path) -> Measured:
     clean = excitation_log(arm, seeds[-1] + 5)
     if callable(kind):
         changed = RUNS + 1 if kind in OF_THE_USER else RUNS
-        logs = [kind(log, np.random.default_rng((job.number, 86))) for log in logs[:changed]] + logs[changed:]
+        logs = [
+            kind(log, np.random.default_rng((job.number, 86))) for log in logs[:changed]
+        ] + logs[changed:]
     files = _written(arm, logs, folder)
-    (folder / "signals.yaml").write_text(signal_map(arm.names, velocity=job.number % 2 == 0), encoding="utf-8")
+    (folder / "signals.yaml").write_text(
+        signal_map(arm.names, velocity=job.number % 2 == 0), encoding="utf-8"
+    )
     said = excitation(
-        files[:-1], files[-1:], folder / "signals.yaml", folder / "found", ["--urdf", folder / "arm.urdf"]
+        files[:-1],
+        files[-1:],
+        folder / "signals.yaml",
+        folder / "found",
+        ["--urdf", folder / "arm.urdf"],
     )
     name = kind if isinstance(kind, str) else kind.__name__
     result = Measured({"code": said.code}, [], [], said.processor, f"{name}: {_refused(said)}")
@@ -650,7 +795,9 @@ def mutated(job: Job, folder: Path) -> Measured:
         if moving is None:
             plain = PlainArm.of(str(folder / "arm.urdf"), arm.names, (10.0, 4.0))
             error = Written(folder / "found" / "friction.yaml").error(plain, clean.plain, arm.names)
-            faults += [f"the files predict a clean run with {error:.0%}"] if error > CONFIRMED else []
+            faults += (
+                [f"the files predict a clean run with {error:.0%}"] if error > CONFIRMED else []
+            )
         result.wrong += [f"{name}: confirmed, but {fault}" for fault in faults[:1]]
     return result
 
@@ -660,8 +807,14 @@ def _faults(arm: SyntheticArm, written: Written) -> list[str]:
     for name, law in zip(written.elements, arm.friction, strict=True):
         truth = {"tau_c_positive": law.coulomb, "c2": law.c2}
         for key, value in written.identified(name).items():
-            if key in truth and abs(value.value - truth[key]) > OFF * truth[key] and value.score(truth[key]) > SCORE:
-                faults.append(f"{key} of {name} is {value.value:.3g} +- {value.deviation:.2g}, true {truth[key]:.3g}")
+            if (
+                key in truth
+                and abs(value.value - truth[key]) > OFF * truth[key]
+                and value.score(truth[key]) > SCORE
+            ):
+                faults.append(
+                    f"{key} of {name} is {value.value:.3g} +- {value.deviation:.2g}, true {truth[key]:.3g}"
+                )
     return faults
 
 
@@ -687,7 +840,8 @@ def _mutated_sweeps(job: Job, folder: Path) -> Measured:
     }
     fallback = folder / "fallback.yaml"
     fallback.write_text(
-        yaml.safe_dump({"provenance": "assumed", "source": "a guess", "elements": elements}), encoding="utf-8"
+        yaml.safe_dump({"provenance": "assumed", "source": "a guess", "elements": elements}),
+        encoding="utf-8",
     )
     words = [
         SIGNALS,
@@ -701,7 +855,9 @@ def _mutated_sweeps(job: Job, folder: Path) -> Measured:
         fallback,
     ]
     said = run_warm([str(word) for word in (*IDENTIFY, SWEEPS, *files, *words)])
-    result = Measured({"code": said.code}, [], [], said.processor, f"sweeps, {kind.__name__}: {_refused(said)}")
+    result = Measured(
+        {"code": said.code}, [], [], said.processor, f"sweeps, {kind.__name__}: {_refused(said)}"
+    )
     if said.broken:
         result.wrong.append(f"sweeps, {kind.__name__}: {said.broken}")
     if said.code == 0:
@@ -735,7 +891,13 @@ def _at_most(name: str, value: float, bound: float, unit: str = " %") -> Guard:
 def _judge_sweeps(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
     errors = [error for outcome in outcomes.values() for error in outcome.values.values()]
     share = float(np.mean(np.array(errors) < TWO_PERCENT)) if errors else math.nan
-    yield Guard("sweeps: values within 2 %", f"{share:.1%} of {len(errors)}", ">= 97 %", share >= 0.97, share)
+    yield Guard(
+        "sweeps: values within 2 %",
+        f"{share:.1%} of {len(errors)}",
+        ">= 97 %",
+        share >= 0.97,
+        share,
+    )
     yield _coverage("sweeps: 95 % intervals", [*outcomes.values()])
     yield _verdicts("sweeps: refused", [*outcomes.values()])
 
@@ -762,11 +924,22 @@ def _judge_recordings(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
         base, files = arm.today
         least = TIAGO if job.name.startswith("tiago") else math.inf
         values = outcome.values
-        yield _at_most(f"{job.name}: unseen, base (stated)", values.get("base", math.nan), min(base + MARGIN, least))
         yield _at_most(
-            f"{job.name}: unseen, files (own band)", values.get("files", math.nan), min(files + MARGIN, least)
+            f"{job.name}: unseen, base (stated)",
+            values.get("base", math.nan),
+            min(base + MARGIN, least),
         )
-        yield _at_most(f"{job.name}: heaviest link", values.get("heaviest", math.nan), arm.times * arm.heaviest, " kg")
+        yield _at_most(
+            f"{job.name}: unseen, files (own band)",
+            values.get("files", math.nan),
+            min(files + MARGIN, least),
+        )
+        yield _at_most(
+            f"{job.name}: heaviest link",
+            values.get("heaviest", math.nan),
+            arm.times * arm.heaviest,
+            " kg",
+        )
         stated, plain = (values.get(name, math.nan) for name in ("files stated", "independent"))
         text = f"{stated:.2f} %, {plain:.2f} %"
         yield Guard(f"{job.name}: files (stated), independent fit", text, "(beside)", True, stated)
@@ -780,18 +953,26 @@ def _judge_independent(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
         worst = max(scores, key=lambda name: scores[name], default="")
         value = scores.get(worst, math.nan)
         text = f"{value:.2f} deviations ({worst}), {len(scores)} values"
-        yield Guard(f"{job.name}: friction beside the independent fit", text, "<= 1.5", value <= 1.5, value)
+        yield Guard(
+            f"{job.name}: friction beside the independent fit", text, "<= 1.5", value <= 1.5, value
+        )
 
 
 def _judge_ramps(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
     for kind in dict.fromkeys(job.name for job in outcomes):
         some = [outcome for job, outcome in outcomes.items() if job.name == kind]
         yield _coverage(f"ramps, {kind}: 95 % intervals", some, (0.9, 1.0))
-        for name in dict.fromkeys(name for outcome in some for name in outcome.values if "inertia" not in name):
+        for name in dict.fromkeys(
+            name for outcome in some for name in outcome.values if "inertia" not in name
+        ):
             errors = np.array([outcome.values[name] for outcome in some if name in outcome.values])
             middle = 100.0 * float(np.median(np.abs(errors)))
-            yield Guard(f"ramps, {kind}: {name}, median error", f"{middle:.2f} %", "(beside)", True, middle)
-        yield replace(_verdicts(f"ramps, {kind}: refused or broken", some), bound="(beside)", ok=True)
+            yield Guard(
+                f"ramps, {kind}: {name}, median error", f"{middle:.2f} %", "(beside)", True, middle
+            )
+        yield replace(
+            _verdicts(f"ramps, {kind}: refused or broken", some), bound="(beside)", ok=True
+        )
 
 
 def _judge_time(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
@@ -800,7 +981,13 @@ def _judge_time(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
         elapsed = outcome.values["elapsed"]
         text = f"{elapsed:.1f} s, processor {outcome.processor:.1f} s"
         least = min(elapsed, outcome.processor)
-        yield Guard(f"time: {job.name}", text, f"<= {bound:g} s", least <= bound and not outcome.wrong, least)
+        yield Guard(
+            f"time: {job.name}",
+            text,
+            f"<= {bound:g} s",
+            least <= bound and not outcome.wrong,
+            least,
+        )
 
 
 TIMES = {"bags": 40.0, "20 s of seven joints": 30.0}
@@ -812,15 +999,24 @@ def _judge_gears(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
         if job.number == 0:
             most = KR300_RATIO * values.get("independent", math.nan)
             yield _at_most("kr300: unseen, files (own band)", values.get("files", math.nan), most)
-            yield _at_most("kr300: unseen, files (stated)", values.get("files stated", math.nan), KR300_STATED)
             yield _at_most(
-                "kr300: heaviest link", values.get("heaviest", math.nan), KR300.times * KR300.heaviest, " kg"
+                "kr300: unseen, files (stated)", values.get("files stated", math.nan), KR300_STATED
+            )
+            yield _at_most(
+                "kr300: heaviest link",
+                values.get("heaviest", math.nan),
+                KR300.times * KR300.heaviest,
+                " kg",
             )
         else:
             name = ("", "gears forgotten", "zeros forgotten")[job.number]
             code = values["code"]
             yield Guard(
-                f"kr300, {name}: exit code", f"{code:g}", "1 or 2", code in {1.0, 2.0} and not outcome.wrong[1:], code
+                f"kr300, {name}: exit code",
+                f"{code:g}",
+                "1 or 2",
+                code in {1.0, 2.0} and not outcome.wrong[1:],
+                code,
             )
 
 
@@ -829,8 +1025,16 @@ def _judge_resting(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
         name = "wam" if job.number == 0 else "wam, --joints j2 j4"
         if job.number == 0:
             value = outcome.values.get("tau_c j2", math.nan)
-            yield Guard(f"{name}: tau_c of j2", f"{value:.2f} Nm", "2.33 +- 0.5 Nm", abs(value - 2.33) <= 0.5, value)
-            yield _at_most(f"{name}: unseen, base (stated)", outcome.values.get("base", math.nan), 8.0)
+            yield Guard(
+                f"{name}: tau_c of j2",
+                f"{value:.2f} Nm",
+                "2.33 +- 0.5 Nm",
+                abs(value - 2.33) <= 0.5,
+                value,
+            )
+            yield _at_most(
+                f"{name}: unseen, base (stated)", outcome.values.get("base", math.nan), 8.0
+            )
         yield _verdicts(f"{name}: refused or broken", [outcome])
 
 
@@ -838,7 +1042,9 @@ def _judge_falling(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
     ratios = [outcome.values.get("ratio", math.nan) for outcome in outcomes.values()]
     worst = float(np.max(ratios))
     text = f"{worst:.2f} at worst, median {float(np.median(ratios)):.2f}, of {len(ratios)}"
-    yield Guard("falling friction: unseen over the unbounded fit", text, "<= 1.1", worst <= 1.1, worst)
+    yield Guard(
+        "falling friction: unseen over the unbounded fit", text, "<= 1.1", worst <= 1.1, worst
+    )
 
 
 def _judge_mutated(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
@@ -848,11 +1054,25 @@ def _judge_mutated(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
         if any("confirmed" not in text and "done" not in text for text in outcome.wrong)
     ]
     false = [
-        outcome for outcome in outcomes.values() if any("confirmed" in text or "done" in text for text in outcome.wrong)
+        outcome
+        for outcome in outcomes.values()
+        if any("confirmed" in text or "done" in text for text in outcome.wrong)
     ]
     total = len(outcomes)
-    yield Guard("mutated: traceback, NaN, exit code", f"{len(broken)} of {total}", "0", not broken, float(len(broken)))
-    yield Guard("mutated: confirmed though wrong", f"{len(false)} of {total}", "0", not false, float(len(false)))
+    yield Guard(
+        "mutated: traceback, NaN, exit code",
+        f"{len(broken)} of {total}",
+        "0",
+        not broken,
+        float(len(broken)),
+    )
+    yield Guard(
+        "mutated: confirmed though wrong",
+        f"{len(false)} of {total}",
+        "0",
+        not false,
+        float(len(false)),
+    )
     codes = [outcome.values["code"] for outcome in outcomes.values()]
     shares = ", ".join(f"{codes.count(code)} end with {code}" for code in sorted({*codes}))
     yield Guard("mutated: exit codes", shares.replace(".0", ""), "(beside)", True, math.nan)
@@ -878,11 +1098,18 @@ class Row:
 _RIGS = ("Coulomb-viscous", "LuGre", "source")
 ROWS = {
     "sweeps": Row(sweeps, _judge_sweeps, {"set": 30}, {"set": 1}),
-    "emulated": Row(emulated, _judge_emulated, {TX40_LIKE: 8, SMALL: 30, RX90_LIKE: 2}, {TX40_LIKE: 1, SMALL: 3}),
+    "emulated": Row(
+        emulated, _judge_emulated, {TX40_LIKE: 8, SMALL: 30, RX90_LIKE: 2}, {TX40_LIKE: 1, SMALL: 3}
+    ),
     "poor": Row(poor, _judge_poor, dict.fromkeys(CONDITIONS, 10), dict.fromkeys(CONDITIONS, 1)),
-    "recordings": Row(recorded, _judge_recordings, dict.fromkeys(ARMS, 1), dict.fromkeys(("tiago_4", "ur10e"), 1)),
+    "recordings": Row(
+        recorded, _judge_recordings, dict.fromkeys(ARMS, 1), dict.fromkeys(("tiago_4", "ur10e"), 1)
+    ),
     "independent": Row(
-        independent, _judge_independent, dict.fromkeys([n for n in ARMS if n != "tiago_7"], 1), {"ur10e": 1}
+        independent,
+        _judge_independent,
+        dict.fromkeys([n for n in ARMS if n != "tiago_7"], 1),
+        {"ur10e": 1},
     ),
     "ramps": Row(ramps, _judge_ramps, dict.fromkeys(_RIGS, 8), {"source": 2}),
     "time": Row(seconds, _judge_time, dict.fromkeys(TIMES, 1), {"20 s of seven joints": 1}),
@@ -900,7 +1127,9 @@ def do(job: Job) -> Measured:
         try:
             return ROWS[job.row].measure(job, Path(folder))
         except (OSError, KeyError, ValueError, Rx90Error, np.linalg.LinAlgError) as error:
-            return Measured({"code": math.nan}, [], [f"not measured: {type(error).__name__}: {error}"])
+            return Measured(
+                {"code": math.nan}, [], [f"not measured: {type(error).__name__}: {error}"]
+            )
 
 
 def _jobs(row: str, options: argparse.Namespace) -> list[Job]:
@@ -922,20 +1151,37 @@ def _judged(written: dict[str, Any]) -> list[Guard]:
     for key, values in written.items():
         row, *name, number = key.split(" ")
         by_row[row][Job(row, " ".join(name), int(number), "")] = Measured(**values)
-    return [guard for row, outcomes in by_row.items() if outcomes for guard in ROWS[row].judge(outcomes)]
+    return [
+        guard for row, outcomes in by_row.items() if outcomes for guard in ROWS[row].judge(outcomes)
+    ]
 
 
 def main() -> int:
     """Measure, print the table, write the figures; return 1 where a bound is not held."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--rows", nargs="*", choices=[*ROWS], default=[*ROWS], help="which to measure (all); none: judge --output"
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--arms", type=int, default=0, help="measurements of each kind at most (as the rows have it)")
+    parser.add_argument(
+        "--rows",
+        nargs="*",
+        choices=[*ROWS],
+        default=[*ROWS],
+        help="which to measure (all); none: judge --output",
+    )
+    parser.add_argument(
+        "--arms",
+        type=int,
+        default=0,
+        help="measurements of each kind at most (as the rows have it)",
+    )
     parser.add_argument("--short", action="store_true", help="the short set")
     parser.add_argument("--recordings", type=Path, help="folder of real recordings")
-    parser.add_argument("--output", type=Path, help="JSON file to write; rows that it holds are replaced")
-    parser.add_argument("--beside", type=Path, help="JSON file of another tree, whose values are printed beside")
+    parser.add_argument(
+        "--output", type=Path, help="JSON file to write; rows that it holds are replaced"
+    )
+    parser.add_argument(
+        "--beside", type=Path, help="JSON file of another tree, whose values are printed beside"
+    )
     options = parser.parse_args()
     known = json.loads(options.beside.read_text(encoding="utf-8")) if options.beside else {}
     written: dict[str, Any] = {}
@@ -947,7 +1193,10 @@ def main() -> int:
         outcomes = in_processes(do, jobs, row) if jobs else {}
         whole = whole and len(outcomes) == len(jobs)
         written = {key: one for key, one in written.items() if not key.startswith(f"{row} ")}
-        written |= {f"{job.row} {job.name} {job.number}": asdict(outcome) for job, outcome in outcomes.items()}
+        written |= {
+            f"{job.row} {job.name} {job.number}": asdict(outcome)
+            for job, outcome in outcomes.items()
+        }
         for job, outcome in outcomes.items():
             for text in outcome.wrong:
                 print(f"{job.row} {job.name} {job.number}: {text}")
@@ -963,7 +1212,13 @@ def main() -> int:
         )
     others = {name: str(one["measured"]) for name, one in known.get("guards", {}).items()}
     rows = [
-        (guard.name, guard.measured, others.get(guard.name, ""), guard.bound, "yes" if guard.ok else "NO")
+        (
+            guard.name,
+            guard.measured,
+            others.get(guard.name, ""),
+            guard.bound,
+            "yes" if guard.ok else "NO",
+        )
         for guard in table
     ]
     print_table(("guard", "measured", "beside", "bound", "ok"), rows)

@@ -33,13 +33,20 @@ def bags() -> list[str]:
     """Time `rx90 identify` on a series; return what is not accepted."""
     with tempfile.TemporaryDirectory() as folder:
         series, elapsed = Path(folder) / "series", 0.0
-        subprocess.run(executable("rx90 experiment sliding", "engine", "--output", str(series)), check=True)
+        subprocess.run(
+            executable("rx90 experiment sliding", "engine", "--output", str(series)), check=True
+        )
         for _ in range(2):
             began = time.perf_counter()
             output = str(Path(folder) / "friction.yaml")
-            subprocess.run(executable("rx90 identify sliding", str(series), "--output", output, "--force"), check=True)
+            subprocess.run(
+                executable("rx90 identify sliding", str(series), "--output", output, "--force"),
+                check=True,
+            )
             elapsed = time.perf_counter() - began
-    print(f"identification of seven elements from bags: {elapsed:.1f} s (accepted: at most {BAGS_LIMIT:g} s)")
+    print(
+        f"identification of seven elements from bags: {elapsed:.1f} s (accepted: at most {BAGS_LIMIT:g} s)"
+    )
     merge({"identification_bags_s": elapsed})
     return [] if elapsed <= BAGS_LIMIT else ["identification from bags"]
 
@@ -48,10 +55,14 @@ def excitation_seconds(rate: float, *, bristles: bool) -> tuple[float, float]:
     """Return elapsed and processor time of an identification from an excitation run, s."""
     arm = random_arm(1, 6, coupled=True, bristles=True)
     duration = SAMPLES / rate
-    motion = FourierMotion.random(arm, 1, period=duration - 1.0, periods=1, harmonics=max(4, round(0.5 * duration)))
+    motion = FourierMotion.random(
+        arm, 1, period=duration - 1.0, periods=1, harmonics=max(4, round(0.5 * duration))
+    )
     with tempfile.TemporaryDirectory() as folder:
         bag, urdf = write_run(measured(arm, motion, rate, 1, MISFIT), arm, Path(folder), wrong=0.3)
-        robot = RobotOptions(urdf=urdf, coupling=arm.coupling.ravel().tolist(), spring=arm.spring.tolist())
+        robot = RobotOptions(
+            urdf=urdf, coupling=arm.coupling.ravel().tolist(), spring=arm.spring.tolist()
+        )
         began, processor = time.perf_counter(), time.process_time()
         identify_excitation([bag], robot, bristles=bristles)
         return time.perf_counter() - began, time.process_time() - processor

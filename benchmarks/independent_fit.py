@@ -45,7 +45,9 @@ class Log:
         """Return the log at even times, through splines: stamps may jitter."""
         rising = np.append(True, np.diff(self.time) > 0.0)
         time = np.linspace(self.time[0], self.time[-1], int(rising.sum()))
-        values = CubicSpline(self.time[rising], np.stack([self.position[rising], self.torque[rising]], axis=1))(time)
+        values = CubicSpline(
+            self.time[rising], np.stack([self.position[rising], self.torque[rising]], axis=1)
+        )(time)
         return Log(time, values[:, 0], values[:, 1])
 
 
@@ -67,7 +69,11 @@ class PlainArm:
 
     @classmethod
     def of(
-        cls, urdf: str, joints: Sequence[str], corners: tuple[float, float], coupling: Array | None = None
+        cls,
+        urdf: str,
+        joints: Sequence[str],
+        corners: tuple[float, float],
+        coupling: Array | None = None,
     ) -> PlainArm:
         """Read a description; joints that are not named are held at 0."""
         whole = pin.buildModelFromUrdf(urdf)
@@ -116,7 +122,10 @@ class PlainArm:
 
     def _columns(self, motion: Array, inputs: Array) -> Array:
         data = self.model.createData()
-        links = [pin.computeJointTorqueRegressor(self.model, data, *row).copy() for row in motion.transpose(1, 0, 2)]
+        links = [
+            pin.computeJointTorqueRegressor(self.model, data, *row).copy()
+            for row in motion.transpose(1, 0, 2)
+        ]
         turning = np.einsum("mk,kj->mjk", motion[2] @ self.coupling.T, self.coupling)
         offset = np.broadcast_to(np.eye(len(self.coupling)), turning.shape)
         coulomb = np.einsum("mk,kj->mjk", np.sign(inputs), self.element_matrix)
@@ -152,7 +161,8 @@ def fit(arm: PlainArm, logs: Sequence[Log]) -> PlainFit:
     """Fit all logs together."""
     parts = [arm.rows(log) for log in logs]
     columns, torque, moving = (
-        np.concatenate(values) for values in zip(*((p.columns, p.torque, p.moving) for p in parts), strict=True)
+        np.concatenate(values)
+        for values in zip(*((p.columns, p.torque, p.moving) for p in parts), strict=True)
     )
     joint = np.nonzero(moving)[1]
     block = (np.arange(len(torque)) * BLOCKS // len(torque))[np.nonzero(moving)[0]]
@@ -170,12 +180,19 @@ def fit(arm: PlainArm, logs: Sequence[Log]) -> PlainFit:
         sigma = np.sqrt(np.bincount(joint, (left**2)) / np.bincount(joint))[joint]
         weight = np.sqrt(np.minimum(1.0, _HUBER / np.maximum(np.abs(left) / sigma, 1e-9))) / sigma
     weighted, aim = reduced * weight[:, None], target * weight
-    normal = np.array([weighted[block == number].T @ weighted[block == number] for number in range(BLOCKS)])
-    right = np.array([weighted[block == number].T @ aim[block == number] for number in range(BLOCKS)])
+    normal = np.array(
+        [weighted[block == number].T @ weighted[block == number] for number in range(BLOCKS)]
+    )
+    right = np.array(
+        [weighted[block == number].T @ aim[block == number] for number in range(BLOCKS)]
+    )
     without = [
-        np.linalg.lstsq(normal.sum(0) - normal[k], right.sum(0) - right[k], rcond=1e-12)[0] for k in range(BLOCKS)
+        np.linalg.lstsq(normal.sum(0) - normal[k], right.sum(0) - right[k], rcond=1e-12)[0]
+        for k in range(BLOCKS)
     ]
-    deviation = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((np.array(without) - np.mean(without, axis=0)) ** 2, axis=0))
+    deviation = np.sqrt(
+        (BLOCKS - 1) / BLOCKS * np.sum((np.array(without) - np.mean(without, axis=0)) ** 2, axis=0)
+    )
     found = np.zeros((2, len(scale)))
     found[:, chosen] = np.stack([value, deviation]) / scale[chosen]
     return PlainFit(found[0], found[1], len(arm.element_matrix))

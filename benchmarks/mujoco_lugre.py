@@ -47,7 +47,13 @@ def as_in_mujoco(element: FrictionElement) -> FrictionElement:
 
 
 def _add_friction(actuator: Any, element: FrictionElement) -> None:
-    lugre = [element.c0, element.c1, element.tau_c.positive, element.tau_s.positive, element.omega_s]
+    lugre = [
+        element.c0,
+        element.c1,
+        element.tau_c.positive,
+        element.tau_s.positive,
+        element.omega_s,
+    ]
     actuator.set_to_dcmotor(
         motorconst=_NO_MOTOR, resistance=1.0, lugre=lugre, ctrlspec=mujoco.mjtCtrlInput.mjINPUT_NONE
     )
@@ -119,15 +125,21 @@ def run_solver(setup: Setup, torques: Array) -> States:
 
 
 def mujoco_joint(
-    element: FrictionElement, period: float, integrator: mujoco.mjtIntegrator = mujoco.mjtIntegrator.mjINT_EULER
+    element: FrictionElement,
+    period: float,
+    integrator: mujoco.mjtIntegrator = mujoco.mjtIntegrator.mjINT_EULER,
 ) -> mujoco.MjModel:
     """Return a rotor with MuJoCo's LuGre friction."""
     spec = mujoco.MjSpec()
     spec.option.timestep, spec.option.integrator = period, integrator
     spec.option.gravity = np.zeros(3)
     body = spec.worldbody.add_body(mass=1e-9, inertia=[1e-9] * 3, explicitinertial=True)
-    joint = body.add_joint(name="joint", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=INERTIA)
-    friction = spec.add_actuator(name="friction", target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    joint = body.add_joint(
+        name="joint", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=INERTIA
+    )
+    friction = spec.add_actuator(
+        name="friction", target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+    )
     _add_friction(friction, element)
     return spec.compile()
 
@@ -168,8 +180,14 @@ def main() -> int:
         pairs = {
             "this project - solver": (ours, exact),
             "MuJoCo Euler - solver": (theirs, exact),
-            "MuJoCo implicitfast - solver": (run_mujoco(element, period, torques, 1, implicit), exact),
-            f"MuJoCo Euler, {_FINE} steps - solver": (run_mujoco(element, period, torques, _FINE), exact),
+            "MuJoCo implicitfast - solver": (
+                run_mujoco(element, period, torques, 1, implicit),
+                exact,
+            ),
+            f"MuJoCo Euler, {_FINE} steps - solver": (
+                run_mujoco(element, period, torques, _FINE),
+                exact,
+            ),
             "this project - MuJoCo Euler": (ours, theirs),
         }
         largest = (f"{np.abs(x).max():.3g}" for x in exact)

@@ -48,7 +48,11 @@ START = 0.25  # s
 WINDOW = (0.2, 0.9)  # part of a recorded run in which processor time is counted
 _TIMEOUT = 60.0
 _SWITCHES = re.compile(r"^voluntary_ctxt_switches:\s*(\d+)", re.MULTILINE)
-_PARTS = {"dds.udp": "middleware, receiving", "dds.ev": "middleware, timers", "dds.shm": "middleware, receiving"}
+_PARTS = {
+    "dds.udp": "middleware, receiving",
+    "dds.ev": "middleware, timers",
+    "dds.shm": "middleware, receiving",
+}
 
 
 class Work(NamedTuple):
@@ -79,7 +83,11 @@ class Run(NamedTuple):
 
     def microseconds(self, process: str) -> float:
         """Return the processor time of a process in a tick, us."""
-        return sum(work.seconds for (owner, _), work in self.work.items() if owner == process) / self.ticks * 1e6
+        return (
+            sum(work.seconds for (owner, _), work in self.work.items() if owner == process)
+            / self.ticks
+            * 1e6
+        )
 
 
 def _start(group: ProcessGroup, name: str, *parameters: str, node: str = "") -> ChildProcess:
@@ -88,7 +96,9 @@ def _start(group: ProcessGroup, name: str, *parameters: str, node: str = "") -> 
 
 
 def _watch(
-    done: Callable[[float], bool], look: Callable[[float], None] = lambda _now: None, release: bool = False
+    done: Callable[[float], bool],
+    look: Callable[[float], None] = lambda _now: None,
+    release: bool = False,
 ) -> float:
     """Follow simulated time until `done`, and show it to `look`; return simulated time per wall time.
 
@@ -114,7 +124,9 @@ def _watch(
             if time.monotonic() > heard + _TIMEOUT:
                 raise ExchangeError(f"no /clock within {_TIMEOUT:g} s; accepted: nodes that run")
     if len(stamps) < 3:
-        raise ExchangeError(f"{len(stamps)} messages on /clock; accepted: a run that is heard from its begin on")
+        raise ExchangeError(
+            f"{len(stamps)} messages on /clock; accepted: a run that is heard from its begin on"
+        )
     tail = stamps[len(stamps) // 10 :]  # in the beginning the graph is still being discovered
     return (tail[-1][1] - tail[0][1]) / (tail[-1][0] - tail[0][0])
 
@@ -135,7 +147,9 @@ def lockstep(rounds: int) -> dict[str, float]:
             # Paused until its client is connected: an unpaced run may be over before the graph has got to know that.
             run = ("duration:=5.0", "real_time_factor:=0.0", "clock_rate:=10", "paused:=true")
             simulation = _start(group, "rx90_sim", *run)
-            factor = _watch(lambda _now, process=simulation: process.returncode is not None, release=True)  # type: ignore[misc]
+            factor = _watch(
+                lambda _now, process=simulation: process.returncode is not None, release=True
+            )  # type: ignore[misc]
             nodes.append(BASE_HZ * factor)
     with ProcessGroup() as group:
         _start(group, "rx90_controller")
@@ -146,7 +160,9 @@ def lockstep(rounds: int) -> dict[str, float]:
         "channel_ping_pong_exchanges_per_s": statistics.median(channel),
         "lockstep_ticks_per_s": statistics.median(nodes),
         "lockstep_vs_ping_pong": statistics.median(n / b for n, b in zip(nodes, bare, strict=True)),
-        "lockstep_vs_channel_ping_pong": statistics.median(n / b for n, b in zip(nodes, channel, strict=True)),
+        "lockstep_vs_channel_ping_pong": statistics.median(
+            n / b for n, b in zip(nodes, channel, strict=True)
+        ),
         "free_running_rate_hz": free,
         **spread("lockstep_real_time_factor", [ticks / BASE_HZ for ticks in nodes]),
     }
@@ -171,7 +187,10 @@ class Recording:
         Raises:
             Rx90Error: if a process fails, a message is missing or a bit differs.
         """
-        bag, parameters = self._folder / f"recorded_{number}", (*self._parameters, f"real_time_factor:={pace}")
+        bag, parameters = (
+            self._folder / f"recorded_{number}",
+            (*self._parameters, f"real_time_factor:={pace}"),
+        )
         with ProcessGroup() as group:
             recorder = group.start("recorder", executable("rx90 bag", "record", "--output", bag))
             if one_process:
@@ -197,7 +216,9 @@ class Recording:
             recorder.expect_success()
         comparison = compare_bags(bag, self._folder / "closed_loop")
         if comparison.verdict is not Verdict.SAME:
-            raise ExchangeError(f"the recorded run is not the closed loop's:\n{comparison_text(comparison)}")
+            raise ExchangeError(
+                f"the recorded run is not the closed loop's:\n{comparison_text(comparison)}"
+            )
         (began, first, before), (ended, last, after) = seen
         work = {
             part: Work(done.seconds - before[part].seconds, done.switches - before[part].switches)
@@ -205,7 +226,9 @@ class Recording:
             if part in before
         }
         factor = whole if one_process else (last - first) / (ended - began)
-        return Run(factor, (last - first) * BASE_HZ, summarise(bag).count / (RECORDED * BASE_HZ), work)
+        return Run(
+            factor, (last - first) * BASE_HZ, summarise(bag).count / (RECORDED * BASE_HZ), work
+        )
 
 
 def _work(processes: Mapping[str, ChildProcess]) -> WorkOfParts:
@@ -218,7 +241,9 @@ def _work(processes: Mapping[str, ChildProcess]) -> WorkOfParts:
             seconds = int((thread / "schedstat").read_text().split()[0]) * 1e-9
             found = _SWITCHES.search((thread / "status").read_text())
             before = done.get((name, part), Work(0.0, 0))
-            done[name, part] = Work(before.seconds + seconds, before.switches + int(found[1] if found else 0))
+            done[name, part] = Work(
+                before.seconds + seconds, before.switches + int(found[1] if found else 0)
+            )
     return done
 
 
@@ -229,12 +254,21 @@ def composition(rounds: int) -> dict[str, float]:
         recording = Recording(Path(folder))
         for number in range(rounds):
             with ProcessGroup() as group:
-                parameters = ("duration:=20.0", "real_time_factor:=0.0", "clock_rate:=10", "paused:=true")
+                parameters = (
+                    "duration:=20.0",
+                    "real_time_factor:=0.0",
+                    "clock_rate:=10",
+                    "paused:=true",
+                )
                 cell = _start(group, "rx90_cell", *parameters, node="rx90_sim:")
-                alone.append(_watch(lambda _now, cell=cell: cell.returncode is not None, release=True))  # type: ignore[misc]
+                alone.append(
+                    _watch(lambda _now, cell=cell: cell.returncode is not None, release=True)
+                )  # type: ignore[misc]
                 cell.expect_success()
             recorded.append(recording.run(number, one_process=True).factor)
-    return spread("composed_real_time_factor", alone) | spread("composed_recorded_real_time_factor", recorded)
+    return spread("composed_real_time_factor", alone) | spread(
+        "composed_recorded_real_time_factor", recorded
+    )
 
 
 def speed(rounds: int, pace: float = 0.0) -> dict[str, float]:
@@ -245,9 +279,13 @@ def speed(rounds: int, pace: float = 0.0) -> dict[str, float]:
     headers = ("process", "part", "us in a tick", "wake-ups in a tick", "us in a recorded message")
     print_table(headers, parts(runs))
     figures = spread("demo_real_time_factor", [run.factor for run in runs])
-    figures |= spread("recorder_cpu_us_per_message", [run.microseconds("recorder") / run.messages for run in runs])
+    figures |= spread(
+        "recorder_cpu_us_per_message", [run.microseconds("recorder") / run.messages for run in runs]
+    )
     for process in ("simulation", "controller", "recorder"):
-        figures[f"{process}_cpu_us_per_tick"] = statistics.median(run.microseconds(process) for run in runs)
+        figures[f"{process}_cpu_us_per_tick"] = statistics.median(
+            run.microseconds(process) for run in runs
+        )
     return figures
 
 
@@ -264,9 +302,19 @@ def own_controller(rounds: int) -> dict[str, float]:
         for number in range(rounds):
             with ProcessGroup() as group:
                 group.start("client", [sys.executable, "-m", "benchmarks.effort_client"])
-                run = ("duration:=10.0", "real_time_factor:=0.0", "paused:=true", "command_interface:=joint")
+                run = (
+                    "duration:=10.0",
+                    "real_time_factor:=0.0",
+                    "paused:=true",
+                    "command_interface:=joint",
+                )
                 simulation = _start(group, "rx90_sim", *run)
-                nodes.append(_watch(lambda _now, process=simulation: process.returncode is not None, release=True))  # type: ignore[misc]
+                nodes.append(
+                    _watch(
+                        lambda _now, process=simulation: process.returncode is not None,
+                        release=True,
+                    )
+                )  # type: ignore[misc]
                 simulation.expect_success()
             began = time.perf_counter()
             run_controller(setup, Hold(), RECORDED)
@@ -275,8 +323,12 @@ def own_controller(rounds: int) -> dict[str, float]:
     return {
         **spread("own_controller_real_time_factor", nodes),
         **spread("own_controller_in_process_real_time_factor", alone),
-        "own_controller_vs_demo": statistics.median(n / d for n, d in zip(nodes, demo, strict=True)),
-        "own_controller_in_process_vs_demo": statistics.median(a / d for a, d in zip(alone, demo, strict=True)),
+        "own_controller_vs_demo": statistics.median(
+            n / d for n, d in zip(nodes, demo, strict=True)
+        ),
+        "own_controller_in_process_vs_demo": statistics.median(
+            a / d for a, d in zip(alone, demo, strict=True)
+        ),
     }
 
 
@@ -294,7 +346,12 @@ def parts(runs: Sequence[Run]) -> list[tuple[str, ...]]:
 
 def main() -> int:
     """Measure what is asked for, print the figures and merge them; those at real time are printed alone."""
-    measures = {"speed": speed, "lockstep": lockstep, "composition": composition, "own_controller": own_controller}
+    measures = {
+        "speed": speed,
+        "lockstep": lockstep,
+        "composition": composition,
+        "own_controller": own_controller,
+    }
     options = arguments(
         __doc__,
         ("what", tuple(measures), "which arrangement"),

@@ -55,7 +55,9 @@ class _WaitSet:
 
         self._kind, self.subscribe_topic = JointState, subscribe_topic
         self.publisher = node.create_publisher(JointState, publish_topic, qos)
-        self.subscription = node.create_subscription(JointState, subscribe_topic, lambda _: None, qos, raw=True)
+        self.subscription = node.create_subscription(
+            JointState, subscribe_topic, lambda _: None, qos, raw=True
+        )
         self._wait_set = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, node.context.handle)
         self.publish = self.publisher.handle.publish_raw
 
@@ -99,7 +101,9 @@ def _ask(exchanges: int, rounds: int) -> tuple[float, float]:
                 if time.monotonic() > deadline:
                     raise ExchangeError(f"{end.subscribe_topic}: no peer within {_READY_TIMEOUT} s")
                 time.sleep(0.01)
-        message = JointStateCodec(motor_names(6)).encoder(*np.linspace(-1.0, 1.0, 18).reshape(3, 6))(0)
+        message = JointStateCodec(motor_names(6)).encoder(
+            *np.linspace(-1.0, 1.0, 18).reshape(3, 6)
+        )(0)
 
         def rate(end: Any, count: int) -> float:
             began = time.perf_counter()
@@ -131,7 +135,10 @@ def _answer(end: Any, parent: int) -> None:
             while channel.receive(0.2) is not None:
                 channel.publish(message)
 
-    threads = [threading.Thread(target=pong, args=(one,), daemon=True) for one in _ends("ping_pong_controller", -1)]
+    threads = [
+        threading.Thread(target=pong, args=(one,), daemon=True)
+        for one in _ends("ping_pong_controller", -1)
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:

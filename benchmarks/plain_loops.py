@@ -28,7 +28,11 @@ WORKSPACE_DTYPE = np.dtype(
         ("axis", np.float64, (6, 3)),
         ("lever", np.float64, (6, 3)),  # origin x axis
         ("moment", np.float64, (6, 3)),  # first moment of a link, kg m
-        ("inertia", np.float64, (6, 6)),  # xx, yy, zz, xy, xz, yz of a link about the base origin, kg m^2
+        (
+            "inertia",
+            np.float64,
+            (6, 6),
+        ),  # xx, yy, zz, xy, xz, yz of a link about the base origin, kg m^2
         ("torque", np.float64, (6, 3)),  # on a link, about the base origin, Nm
         ("force", np.float64, (6, 3)),
     ],
@@ -38,7 +42,13 @@ WORKSPACE_DTYPE = np.dtype(
 
 @kernel
 def run_lanes(
-    plants: Record, states: Record, laws: Record, law_states: Record, setpoints: Array, ratio: int, q: Array
+    plants: Record,
+    states: Record,
+    laws: Record,
+    law_states: Record,
+    setpoints: Array,
+    ratio: int,
+    q: Array,
 ) -> None:
     """Run the product's kernels over all set-points, shape (m, 3, 6); write joint positions, rad, shape (m, 6)."""
     state, law_state = states[0], law_states[0]
@@ -52,7 +62,13 @@ def run_lanes(
 
 @kernel
 def run_plain(
-    plants: Record, states: Record, laws: Record, law_states: Record, setpoints: Array, ratio: int, q: Array
+    plants: Record,
+    states: Record,
+    laws: Record,
+    law_states: Record,
+    setpoints: Array,
+    ratio: int,
+    q: Array,
 ) -> None:
     """Run the plain loops as `run_lanes` does its kernels; the brakes are open from the beginning."""
     plant, state, law, law_state = plants[0], states[0], laws[0], law_states[0]
@@ -84,7 +100,9 @@ def _position_loop(law: Any, state: Any, setpoint: Array, position: Array) -> No
         velocity = state.reference[1, i]
         error = state.reference[0, i] - position[i]
         if error * state.limited[i] <= 0.0:
-            state.integrator[i] = _clip(state.integrator[i] + law.integral[i] * error, law.integrator_limit[i])
+            state.integrator[i] = _clip(
+                state.integrator[i] + law.integral[i] * error, law.integrator_limit[i]
+            )
         sign = _clip(velocity / law.coulomb_velocity[i], 1.0)
         forward = law.inertia[i] * state.reference[2, i] + law.coulomb[i] * sign
         forward += law.viscous[i] * _signed_power(velocity, law.viscous_exponent[i])
@@ -96,7 +114,9 @@ def _position_loop(law: Any, state: Any, setpoint: Array, position: Array) -> No
 def _velocity_loop(law: Any, state: Any, velocity: Array) -> None:
     for i in range(6):
         damping = law.derivative[i] * (law.velocity_weight[i] * state.reference[1, i] - velocity[i])
-        asked = (state.position_torque[i] + state.feed_forward[i] + damping) / law.torque_constant[i]
+        asked = (state.position_torque[i] + state.feed_forward[i] + damping) / law.torque_constant[
+            i
+        ]
         peak = law.peak_current[i]
         state.limited[i] = (asked > peak) - (asked < -peak)
         change = law.current_gain * (_clip(asked, peak) - state.current[i])
@@ -149,7 +169,9 @@ def _plant_step(plant: Any, state: Any, work: Any, command: Array) -> None:
 
 
 @kernel
-def _element_step(elements: Any, i: int, z: float, velocity: float, step: float) -> tuple[float, float]:
+def _element_step(
+    elements: Any, i: int, z: float, velocity: float, step: float
+) -> tuple[float, float]:
     """Return the new deflection, rad, and the mean torque, Nm, of friction element i (equations 17 to 19)."""
     side, speed = (0 if velocity >= 0.0 else 1), abs(velocity)
     ratio, delta = speed * elements.inverse_omega_s[i], elements.delta[i]
@@ -167,7 +189,11 @@ def _element_step(elements: Any, i: int, z: float, velocity: float, step: float)
         psi = (1.0 - phi) / x
     z_dot = velocity - rate * z
     alpha = elements.alpha[i]
-    viscous = elements.c2[i] * velocity * (1.0 if alpha == 1.0 else max(speed, LINEAR_SPEED) ** (alpha - 1.0))
+    viscous = (
+        elements.c2[i]
+        * velocity
+        * (1.0 if alpha == 1.0 else max(speed, LINEAR_SPEED) ** (alpha - 1.0))
+    )
     torque = elements.c0[i] * (z + step * z_dot * psi) + damping * z_dot * phi + viscous
     return z + step * z_dot * phi, torque
 
@@ -204,7 +230,9 @@ def _turn(w: Vector, a: Vector, r: Vector) -> Vector:
 
 
 @inlined
-def _inertia(second_moment: tuple[float, ...], x: Vector, y: Vector, z: Vector) -> tuple[float, ...]:
+def _inertia(
+    second_moment: tuple[float, ...], x: Vector, y: Vector, z: Vector
+) -> tuple[float, ...]:
     """Return tr(S) - S, shape (6,), xx to yz, for S = xx x x^T + yy y y^T + c z^T + z c^T, c = xz x + yz y."""
     xx, yy, xz, yz = second_moment
     a, b, c = _scale(xx, x), _scale(yy, y), _add(_scale(xz, x), _scale(yz, y))
@@ -267,7 +295,10 @@ def mass_and_bias(arm: Any, work: Any, q: Array, v: Array, mass_matrix: Array, b
         origin = _add(origin, step)
         acceleration = _add(acceleration, _turn(w, a, step))
         sine, cosine = math.sin(q[i]), math.cos(q[i])
-        before_x, before_y = _along(x, y, z, _column(arm.frame[0], i)), _along(x, y, z, _column(arm.frame[1], i))
+        before_x, before_y = (
+            _along(x, y, z, _column(arm.frame[0], i)),
+            _along(x, y, z, _column(arm.frame[1], i)),
+        )
         z = _along(x, y, z, _column(arm.frame[2], i))
         x = _add(_scale(cosine, before_x), _scale(sine, before_y))
         y = _add(_scale(cosine, before_y), _scale(-sine, before_x))
@@ -296,12 +327,23 @@ def mass_and_bias(arm: Any, work: Any, q: Array, v: Array, mass_matrix: Array, b
         moment = _add(moment, _row(work.moment, i))
         torque, force = _add(torque, _row(work.torque, i)), _add(force, _row(work.force, i))
         own = work.inertia[i]
-        xx, yy, zz, xy, xz, yz = xx + own[0], yy + own[1], zz + own[2], xy + own[3], xz + own[4], yz + own[5]
+        xx, yy, zz, xy, xz, yz = (
+            xx + own[0],
+            yy + own[1],
+            zz + own[2],
+            xy + own[3],
+            xz + own[4],
+            yz + own[5],
+        )
         axis, lever = _row(work.axis, i), _row(work.lever, i)
         bias[i] += _dot(axis, torque) + _dot(lever, force)
         # The momentum of all that joint i moves, for a unit of its velocity.
         angular = _add(_apply((xx, yy, zz, xy, xz, yz), axis), _cross(moment, lever))
         linear = _cross(axis, moment)
         for j in range(i + 1):
-            entry = arm.rotor[i, j] + _dot(_row(work.axis, j), angular) + _dot(_row(work.lever, j), linear)
+            entry = (
+                arm.rotor[i, j]
+                + _dot(_row(work.axis, j), angular)
+                + _dot(_row(work.lever, j), linear)
+            )
             mass_matrix[i, j] = mass_matrix[j, i] = entry

@@ -47,7 +47,9 @@ class Outcome:
 def plain(seed: int) -> SyntheticArm:
     """Return a random arm of 2 or 3 joints without coupled wrist, with Coulomb and viscous friction."""
     arm = random_arm(seed, 2 + seed % 2, coupled=False, stribeck=False)
-    return replace(arm, friction=tuple(FrictionLaw((law.coulomb, law.coulomb), law.c2) for law in arm.friction))
+    return replace(
+        arm, friction=tuple(FrictionLaw((law.coulomb, law.coulomb), law.c2) for law in arm.friction)
+    )
 
 
 def log(arm: SyntheticArm, seed: int, condition: str) -> JointRecord:
@@ -55,7 +57,9 @@ def log(arm: SyntheticArm, seed: int, condition: str) -> JointRecord:
     rng = np.random.default_rng((seed, 60))
     rate = LOW_RATE if condition == "low rate" else RATE
     jitter = replace(NOISE, jitter=0.3, stamp=0.02 / RATE) if condition == "jitter" else NOISE
-    record = measured(arm, FourierMotion.random(arm, seed, periods=1), rate, seed, jitter).record(arm)
+    record = measured(arm, FourierMotion.random(arm, seed, periods=1), rate, seed, jitter).record(
+        arm
+    )
     if condition == "gaps":
         keep = np.ones(len(record.time), dtype=np.bool_)
         for start in rng.integers(100, len(keep) - 100, 6).tolist():
@@ -86,7 +90,9 @@ def experiment(arguments: tuple[int, str]) -> Outcome:
     records = [log(arm, number, condition) for number in numbers]
     try:
         bandwidths = Bandwidths.of(records)
-        problem = ExcitationProblem.of(rigid, [run for record in records for run in filter_record(record, bandwidths)])
+        problem = ExcitationProblem.of(
+            rigid, [run for record in records for run in filter_record(record, bandwidths)]
+        )
         doubts = alarms(rigid, Recorded.of(records, rigid))
         if doubts:
             raise IdentificationError(doubts[0])
@@ -130,14 +136,19 @@ def main() -> int:
         if len(held):
             share, error = float(np.mean(held)), float(np.std(held) / np.sqrt(len(held)))
             unseen = [outcome.unseen for outcome in outcomes if np.isfinite(outcome.unseen)]
-            shown = [f"{share:.1%} +- {1.96 * error:.1%} of {len(held)}", f"{np.median(unseen):.1%}" if unseen else "-"]
+            shown = [
+                f"{share:.1%} +- {1.96 * error:.1%} of {len(held)}",
+                f"{np.median(unseen):.1%}" if unseen else "-",
+            ]
             if not HELD[0] <= share <= HELD[1]:
                 wrong.append(f"{condition}: intervals hold {share:.1%}")
         rows.append((condition, *shown, str(len(said))))
         wrong += [f"{condition}: {text}" for text in said]
         if not whole:
             break
-    print_table(("log", "intervals that hold", "unseen torque error, median", "wrong verdicts"), rows)
+    print_table(
+        ("log", "intervals that hold", "unseen torque error, median", "wrong verdicts"), rows
+    )
     print(*wrong, sep="\n")
     return int(bool(wrong)) if whole else INTERRUPTED
 

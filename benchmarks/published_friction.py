@@ -23,7 +23,13 @@ from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction.compiled_elements import element_arrays
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.load import LoadPart
-from rx90_common.friction.parts.step import fill_parts, parts_dtype, parts_state_dtype, parts_step, reset_parts
+from rx90_common.friction.parts.step import (
+    fill_parts,
+    parts_dtype,
+    parts_state_dtype,
+    parts_step,
+    reset_parts,
+)
 from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
@@ -32,10 +38,17 @@ from rx90_common.report.style import COLOURS
 
 COULOMB, COULOMB_LOAD = 3.11e-2, 2.34e-2
 STATIC_LOAD, SPEED_LOAD = 1.26e-1, 9.22  # of the load: Stribeck torque, and its speed in rad/s
-STATIC, STATIC_TEMPERATURE = -2.50e-2, 1.60e-3  # without load: Stribeck torque at 0 degrees Celsius, and by degree
+STATIC, STATIC_TEMPERATURE = (
+    -2.50e-2,
+    1.60e-3,
+)  # without load: Stribeck torque at 0 degrees Celsius, and by degree
 SPEED, SPEED_TEMPERATURE = -24.81, 0.98  # its speed, rad/s, the same
 EXPONENT = 1.36
-VISCOUS, VISCOUS_TEMPERATURE, TEMPERATURE_SCALE = 1.30e-4, 1.32e-3, 20.71  # s/rad, s/rad, degrees Celsius
+VISCOUS, VISCOUS_TEMPERATURE, TEMPERATURE_SCALE = (
+    1.30e-4,
+    1.32e-3,
+    20.71,
+)  # s/rad, s/rad, degrees Celsius
 
 LOADS = (0.0, 0.2, 0.4, 0.6, 0.8)
 TEMPERATURES = (30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
@@ -49,8 +62,12 @@ _LONG = 1e6
 def published(speed: Array, torque: float, temperature: float) -> Array:
     """Return the friction of the paper's model for speeds above 0, rad/s."""
     of_load = STATIC_LOAD * torque * np.exp(-((speed / SPEED_LOAD) ** EXPONENT))
-    stribeck = _stribeck(temperature) * np.exp(-((speed / _stribeck_speed(temperature)) ** EXPONENT))
-    return np.asarray(COULOMB + COULOMB_LOAD * torque + of_load + stribeck + _viscous(temperature) * speed)
+    stribeck = _stribeck(temperature) * np.exp(
+        -((speed / _stribeck_speed(temperature)) ** EXPONENT)
+    )
+    return np.asarray(
+        COULOMB + COULOMB_LOAD * torque + of_load + stribeck + _viscous(temperature) * speed
+    )
 
 
 def element_at(temperature: float) -> FrictionElement:
@@ -104,18 +121,31 @@ def of_element(torque: float, temperature: float) -> Array:
     )
     fill_parts(parts[0], elements, np.ones(RX_WRIST.size.elements).tolist(), 1.0, 0)
     friction = np.empty((len(SPEEDS), RX_WRIST.size.elements))
-    _steady(element_arrays(elements), parts, states, np.full(RX_WRIST.size.elements, torque), SPEEDS, friction)
+    _steady(
+        element_arrays(elements),
+        parts,
+        states,
+        np.full(RX_WRIST.size.elements, torque),
+        SPEEDS,
+        friction,
+    )
     return friction[:, 0]
 
 
 @kernel
-def _steady(elements: Any, parts: Any, states: Any, transmitted: Array, speeds: Array, torque: Array) -> None:
+def _steady(
+    elements: Any, parts: Any, states: Any, transmitted: Array, speeds: Array, torque: Array
+) -> None:
     """Write the torque of seven elements at each speed after a long time, shape (n, 7)."""
     reset_parts(parts[0], states[0], load(transmitted, 7), 7)
     still = 0.0 * load(transmitted, 7)
     for k in range(len(speeds)):
-        z, _ = parts_step(elements[0], parts[0], states[0], still, still, still + speeds[k], _LONG, 7)
-        _, mean = parts_step(elements[0], parts[0], states[0], z, still, still + speeds[k], _LONG, 7)
+        z, _ = parts_step(
+            elements[0], parts[0], states[0], still, still, still + speeds[k], _LONG, 7
+        )
+        _, mean = parts_step(
+            elements[0], parts[0], states[0], z, still, still + speeds[k], _LONG, 7
+        )
         store(torque[k], mean)
 
 
@@ -145,13 +175,19 @@ def trends() -> dict[str, float]:
         "published_friction_minimum_hot": slowest(80.0),
         "published_friction_error_temperature": max(error(0.0, t) for t in TEMPERATURES),
         "published_friction_error_load": max(error(each, REFERENCE) for each in LOADS),
-        "published_friction_error_both": max(error(each, t) for each in LOADS for t in TEMPERATURES),
+        "published_friction_error_both": max(
+            error(each, t) for each in LOADS for t in TEMPERATURES
+        ),
     }
 
 
 def error(torque: float, temperature: float) -> float:
     """Return the largest deviation of the element from the paper over all speeds, as a share of the paper's value."""
-    return float(np.max(np.abs(of_element(torque, temperature) / published(SPEEDS, torque, temperature) - 1.0)))
+    return float(
+        np.max(
+            np.abs(of_element(torque, temperature) / published(SPEEDS, torque, temperature) - 1.0)
+        )
+    )
 
 
 def draw(file: Path) -> None:

@@ -69,7 +69,9 @@ class FrictionLaw:
         """Return the torque without a bristle, Nm."""
         return np.sign(velocity) * self.sliding(velocity, load) + self.viscous(velocity)
 
-    def torque(self, time: Array, velocity: Array, load: Array | float = 0.0, substeps: int = 8) -> Array:
+    def torque(
+        self, time: Array, velocity: Array, load: Array | float = 0.0, substeps: int = 8
+    ) -> Array:
         """Return the torque along a motion from rest, Nm, all of shape (m,).
 
         Over a part of a step, in which the velocity keeps its middle value, equation 17 has an exponential for its
@@ -77,14 +79,18 @@ class FrictionLaw:
         """
         if not self.c0:
             return self.steady(velocity, load)
-        fine = np.interp(np.arange((len(time) - 1) * substeps + 1) / substeps, np.arange(len(time)), time)
+        fine = np.interp(
+            np.arange((len(time) - 1) * substeps + 1) / substeps, np.arange(len(time)), time
+        )
         middle, step = (fine[1:] + fine[:-1]) / 2.0, np.diff(fine)
         v = np.interp(middle, time, velocity)
         loaded = np.interp(middle, time, np.broadcast_to(load, time.shape))
         limit = self.sliding(v, loaded) / self.c0
         decay = np.exp(-np.abs(v) * step / limit)
         bands = np.vstack([np.ones(len(fine)), np.append(-decay, 0.0)])
-        z = solve_banded((1, 0), bands, np.append(0.0, np.sign(v) * limit * (1.0 - decay)))[::substeps]
+        z = solve_banded((1, 0), bands, np.append(0.0, np.sign(v) * limit * (1.0 - decay)))[
+            ::substeps
+        ]
         rate = velocity - np.abs(velocity) * self.c0 / self.sliding(velocity, load) * z
         return self.c0 * z + self.c1 * rate + self.viscous(velocity)
 
@@ -190,7 +196,9 @@ class SyntheticArm:
         text = '<robot name="random_arm">\n<link name="link_0"/>\n'
         for number, link in enumerate(self.links, 1):
             factor = float(np.exp(wrong * rng.normal()))
-            text += replace(link, mass=link.mass * factor, inertia=link.inertia * factor).urdf(number)
+            text += replace(link, mass=link.mass * factor, inertia=link.inertia * factor).urdf(
+                number
+            )
         return f"{text}</robot>\n"
 
     def frictionless(self, position: Array, velocity: Array, acceleration: Array) -> Array:
@@ -217,7 +225,9 @@ def random_link(rng: np.random.Generator, number: int, *, square: bool) -> Link:
     return Link(rng.uniform(-0.35, 0.35, 3), rpy, mass, rng.uniform(-0.15, 0.15, 3), inertia)
 
 
-def random_law(rng: np.random.Generator, torque: float, *, bristle: bool, stribeck: bool) -> FrictionLaw:
+def random_law(
+    rng: np.random.Generator, torque: float, *, bristle: bool, stribeck: bool
+) -> FrictionLaw:
     """Return friction of a size that suits a joint with this torque, Nm; that of a Staubli TX40 lies in the range."""
     coulomb, fast = torque * rng.uniform(0.1, 0.35), 3.0
     lean = rng.uniform(-0.15, 0.15) * (rng.random() < 0.5)
@@ -262,7 +272,12 @@ def random_arm(
     offset = torque * rng.uniform(-0.03, 0.03, n)
     sizes = np.append(torque, torque[-1])[: n + wrist]
     laws = tuple(
-        random_law(rng, size, bristle=bristles, stribeck=rng.random() < 0.5 if stribeck is None else stribeck)
+        random_law(
+            rng,
+            size,
+            bristle=bristles,
+            stribeck=rng.random() < 0.5 if stribeck is None else stribeck,
+        )
         for size in sizes
     )
     return SyntheticArm(links, rotor, spring, offset, gear, wrist, laws, torque)

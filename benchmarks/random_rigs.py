@@ -45,7 +45,9 @@ def random_rig(seed: int, number: int, kind: str) -> Rig:
     rise = min(rng.uniform(1.05, 1.6), (HEAVIEST - own) * torque / coulomb)
     bristle, damping = between(2e-4, 1e-3), between(3e-4, 3e-3)
     stribeck, exponent = between(0.02, 0.2), rng.uniform(0.7, 2.0)
-    joint: JointFriction | LuGreJoint = JointFriction(model="coulomb_viscous", coulomb=coulomb, viscous=slope)
+    joint: JointFriction | LuGreJoint = JointFriction(
+        model="coulomb_viscous", coulomb=coulomb, viscous=slope
+    )
     if kind == "LuGre":
         stiffness = coulomb / bristle
         element = FrictionElement.of(

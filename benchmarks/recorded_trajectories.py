@@ -29,7 +29,9 @@ def run(folder: Path) -> str:
     """Record one run; return what the bag lacks, and what the processes said of it."""
     with ProcessGroup(folder, grace=30.0) as group:
         cell = group.start("cell", executable("rx90_cell"))
-        recorder = group.start("recorder", executable("rx90 bag", "record", "--output", folder / "bag"))
+        recorder = group.start(
+            "recorder", executable("rx90 bag", "record", "--output", folder / "bag")
+        )
         recorder.wait_for("ready: all")
         line = group.start("line", executable("rx90 line", *LINE))
         sent = line.wait()
@@ -47,10 +49,14 @@ def run(folder: Path) -> str:
 
 def main() -> int:
     """Count and print; return 1 if a bag lacks a trajectory and nobody said so."""
-    options = arguments(__doc__, ("--runs", 100, "bags"), ("--busy", 2, "processes that do nothing but compute"))
+    options = arguments(
+        __doc__, ("--runs", 100, "bags"), ("--busy", 2, "processes that do nothing but compute")
+    )
     prepare_ros()
     found: Counter[str] = Counter()
-    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(options.busy)]
+    busy = [
+        subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(options.busy)
+    ]
     try:
         for number in range(1, options.runs + 1):
             with tempfile.TemporaryDirectory() as folder:
@@ -63,7 +69,12 @@ def main() -> int:
             process.wait()
     for outcome, count in found.most_common():
         print(f"{count} of {options.runs}: {outcome}")
-    return int(any("lacks" in outcome and outcome.endswith("ended with 0, the recorder with 0") for outcome in found))
+    return int(
+        any(
+            "lacks" in outcome and outcome.endswith("ended with 0, the recorder with 0")
+            for outcome in found
+        )
+    )
 
 
 if __name__ == "__main__":

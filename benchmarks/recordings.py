@@ -22,7 +22,9 @@ from benchmarks.report import arguments
 from rx90_common.base.arrays import Array
 
 _FIGAROH = "figaroh-examples/examples"
-_PANDA_LOG = "FrankaEmikaPandaDynModel/matlab/data/Exciting_Traj/Trajectory_1/rbt_log/exciting_traj_"
+_PANDA_LOG = (
+    "FrankaEmikaPandaDynModel/matlab/data/Exciting_Traj/Trajectory_1/rbt_log/exciting_traj_"
+)
 _UR10E = "dynamic_calibration/dataset_ur10e"
 _UR_JOINTS = (
     "shoulder_pan_joint",
@@ -52,7 +54,9 @@ def _write_thirds(folder: Path, table: Array, kinds: str) -> None:
     _write(folder / "unseen.csv", table[cut:], kinds)
 
 
-def _signals(names: tuple[str, ...], effort: dict[str, object], first: int = 1, **more: object) -> dict[str, object]:
+def _signals(
+    names: tuple[str, ...], effort: dict[str, object], first: int = 1, **more: object
+) -> dict[str, object]:
     """Return the map of a table with columns t, q, v and f, whose names begin to count at `first`."""
     numbers = range(first, first + len(names))
     return {
@@ -74,7 +78,8 @@ def tx40(clones: Path, folder: Path) -> None:
     """Write 9 s at 5 kHz, motor side; the robot is this project's tx40."""
     data = clones / _FIGAROH / "staubli_TX40" / "data"
     position, torque = (
-        np.loadtxt(data / name, delimiter=",", skiprows=1) for name in ("pos_read_data.csv", "curr_data.csv")
+        np.loadtxt(data / name, delimiter=",", skiprows=1)
+        for name in ("pos_read_data.csv", "curr_data.csv")
     )
     rows = min(len(position), len(torque))
     time = np.arange(rows) / 5000.0
@@ -89,17 +94,23 @@ def tx40(clones: Path, folder: Path) -> None:
 
 def panda(clones: Path, folder: Path) -> None:
     """Write 24 s at 1 kHz, joint side, torques of sensors behind the gears."""
-    fields = [np.loadtxt(clones / f"{_PANDA_LOG}{name}.txt") for name in ("time", "positions", "velocity", "torques")]
+    fields = [
+        np.loadtxt(clones / f"{_PANDA_LOG}{name}.txt")
+        for name in ("time", "positions", "velocity", "torques")
+    ]
     table = np.column_stack([fields[0], *(values.reshape(-1, 7) for values in fields[1:])])
     _write_thirds(folder, table, "qvf")
     _write_map(folder, _signals(tuple(_columns("panda_joint", 7)), {"unit": "Nm"}))
-    shutil.copyfile(clones / "example-robot-data/robots/panda_description/urdf/panda.urdf", folder / "arm.urdf")
+    shutil.copyfile(
+        clones / "example-robot-data/robots/panda_description/urdf/panda.urdf", folder / "arm.urdf"
+    )
 
 
 def _tiago(clones: Path, folder: Path, joints: int) -> None:
     log = str(clones / _FIGAROH / "tiago/data/identification/dynamic/tiago_")
     position, velocity, effort = (
-        np.loadtxt(f"{log}{name}.csv", delimiter=",", skiprows=1) for name in ("position", "velocity", "effort")
+        np.loadtxt(f"{log}{name}.csv", delimiter=",", skiprows=1)
+        for name in ("position", "velocity", "effort")
     )
     # The first column of each is the torso's.
     table = np.column_stack([position[:, 0], position[:, 2:], velocity[:, 2:], effort[:, 2:]])
@@ -145,7 +156,11 @@ ARMS: dict[str, Callable[[Path, Path], None]] = {
 
 def main() -> int:
     """Write the arms whose recordings are there; return 1 if one is left out."""
-    options = arguments(__doc__, ("clones", Path(), "folder of clones"), ("--output", Path("recordings"), "to write"))
+    options = arguments(
+        __doc__,
+        ("clones", Path(), "folder of clones"),
+        ("--output", Path("recordings"), "to write"),
+    )
     missing = 0
     for name, write in ARMS.items():
         folder = options.output / name

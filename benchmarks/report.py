@@ -33,7 +33,9 @@ def arguments(description: str | None, *options: tuple[str, Any, str]) -> argpar
     A default of False makes a switch, one of None the name of a file, a tuple what is accepted, its first value being
     the default; others give the type of the value.
     """
-    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     for name, value, text in options:
         if value is False:
             parser.add_argument(name, action="store_true", help=text)
@@ -57,7 +59,9 @@ def prepare_ros() -> None:
     prepare()
 
 
-def in_processes(job: Callable[[_Job], _Found], jobs: Sequence[_Job], label: str, chunk: int = 1) -> dict[_Job, _Found]:
+def in_processes(
+    job: Callable[[_Job], _Found], jobs: Sequence[_Job], label: str, chunk: int = 1
+) -> dict[_Job, _Found]:
     """Return the results of all jobs, one process for each processor, with the progress on the terminal.
 
     On Ctrl-C those that are done are returned, in the order of the jobs, and how many they are is said.
@@ -67,7 +71,9 @@ def in_processes(job: Callable[[_Job], _Found], jobs: Sequence[_Job], label: str
     found: dict[_Job, _Found] = {}
     # Not forked: numba and BLAS may hold threads already.
     with ProcessPoolExecutor(count, get_context("spawn")) as pool:
-        ours = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as the processes, which start here, keep it
+        ours = signal.signal(
+            signal.SIGINT, signal.SIG_IGN
+        )  # as the processes, which start here, keep it
         # No more than run at once: those that the pool has queued could not be cancelled.
         waiting = {pool.submit(_results, job, part): part for part in islice(parts, count)}
         signal.signal(signal.SIGINT, ours)
@@ -77,7 +83,9 @@ def in_processes(job: Callable[[_Job], _Found], jobs: Sequence[_Job], label: str
                     future = next(as_completed(waiting))
                     found.update(zip(waiting[future], future.result(), strict=True))
                     progress.update(len(waiting.pop(future)))
-                    waiting.update({pool.submit(_results, job, part): part for part in islice(parts, 1)})
+                    waiting.update(
+                        {pool.submit(_results, job, part): part for part in islice(parts, 1)}
+                    )
         except KeyboardInterrupt:
             print("interrupted: what runs is finished", file=sys.stderr)
             pool.shutdown(cancel_futures=True)
@@ -123,17 +131,27 @@ def in_turns(runs: Mapping[str, Callable[[], float]], rounds: int) -> dict[str, 
 def ratios(times: Mapping[str, Sequence[float]], base: str) -> dict[str, float]:
     """Return how many times longer than the base each takes, the median of the rounds' ratios."""
     return {
-        name: statistics.median(theirs / own for theirs, own in zip(series, times[base], strict=True))
+        name: statistics.median(
+            theirs / own for theirs, own in zip(series, times[base], strict=True)
+        )
         for name, series in times.items()
     }
 
 
-def print_times(title: str, times: Mapping[str, Sequence[float]], base: str, period: float) -> dict[str, float]:
+def print_times(
+    title: str, times: Mapping[str, Sequence[float]], base: str, period: float
+) -> dict[str, float]:
     """Print what a tick of `period`, s, takes, by name; return the medians."""
     median = {name: statistics.median(series) for name, series in times.items()}
     ratio = ratios(times, base)
     rows = [
-        (name, f"{s * 1e6:.3f}", f"{min(times[name]) * 1e6:.3f}", f"{period / s:.0f}", f"{ratio[name]:.2f}")
+        (
+            name,
+            f"{s * 1e6:.3f}",
+            f"{min(times[name]) * 1e6:.3f}",
+            f"{period / s:.0f}",
+            f"{ratio[name]:.2f}",
+        )
         for name, s in median.items()
     ]
     print_table((title, "us per tick", "best", "x real time", f"x {base}"), rows)
@@ -145,13 +163,20 @@ def print_table(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     table = [headers, *rows]
     widths = [max(len(row[k]) for row in table) for k in range(len(headers))]
     for row in table:
-        cells = [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
+        cells = [
+            row[0].ljust(widths[0]),
+            *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)),
+        ]
         print("  ".join(cells).rstrip())
 
 
 def spread(key: str, values: Sequence[float]) -> dict[str, float]:
     """Return the median of several runs, the lowest and the highest of them, as figures."""
-    return {key: statistics.median(values), f"{key}_lowest": min(values), f"{key}_highest": max(values)}
+    return {
+        key: statistics.median(values),
+        f"{key}_lowest": min(values),
+        f"{key}_highest": max(values),
+    }
 
 
 def merge(figures: Mapping[str, float], file: Path = BENCH_FILE) -> None:

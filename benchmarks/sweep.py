@@ -35,7 +35,11 @@ def main() -> int:
         began = time.perf_counter()
         subprocess.run(executable("rx90 sweep", *arguments), cwd=ROOT, check=True)
         elapsed = time.perf_counter() - began
-        print("\n".join(line for line in describe_results(output) if "runs" in line or "path_error" in line))
+        print(
+            "\n".join(
+                line for line in describe_results(output) if "runs" in line or "path_error" in line
+            )
+        )
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     print_table(
         ("1,000 runs of the reference task", "s"),

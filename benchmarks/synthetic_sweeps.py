@@ -49,7 +49,9 @@ class Noise:
     counts: float = 65536.0
 
 
-def drive_torque(setup: Setup, friction: FrictionSet, motion: tuple[Array, Array], payload: float = 0.0) -> Array:
+def drive_torque(
+    setup: Setup, friction: FrictionSet, motion: tuple[Array, Array], payload: float = 0.0
+) -> Array:
     """Return joint torques of the drives; elements at rest carry STUCK.
 
     Args:
@@ -65,13 +67,17 @@ def drive_torque(setup: Setup, friction: FrictionSet, motion: tuple[Array, Array
         model.inertias[6] = model.inertias[6] + point
     # Gravity and velocity torques are smooth: every tenth sample and straight lines between them.
     few = np.unique(np.append(np.arange(0, len(q), 10), len(q) - 1))
-    coarse = rigid_torque(model, np.zeros((6, 6)), np.zeros(6), q[few], v[few], np.zeros((len(few), 6)))
+    coarse = rigid_torque(
+        model, np.zeros((6, 6)), np.zeros(6), q[few], v[few], np.zeros((len(few), 6))
+    )
     torque = np.column_stack([np.interp(np.arange(len(q)), few, column) for column in coarse.T])
     torque += setup.drives.spring_torque * np.sin(q)
     # Friction once for each stretch of constant velocity.
     first = np.flatnonzero(np.append(True, np.any(np.diff(v, axis=0) != 0.0, axis=1)))
     inputs = v[first] @ INPUT.T
-    sliding = np.column_stack([e.steady_torque(inputs[:, k]) for k, e in enumerate(friction.elements)])
+    sliding = np.column_stack(
+        [e.steady_torque(inputs[:, k]) for k, e in enumerate(friction.elements)]
+    )
     stretch = np.where(inputs == 0.0, STUCK, sliding) @ INPUT
     return torque + np.repeat(stretch, np.diff(np.append(first, len(v))), axis=0)
 
@@ -81,7 +87,9 @@ def sweep(start: Array, velocity: Array, travel: float, longest: float) -> tuple
     fastest = np.abs(INPUT @ velocity).max()
     duration = min(travel / fastest, longest)
     moving = int(duration / PERIOD)
-    profile = np.concatenate([np.zeros(100), np.ones(moving), np.zeros(100), -np.ones(moving), np.zeros(100)])
+    profile = np.concatenate(
+        [np.zeros(100), np.ones(moving), np.zeros(100), -np.ones(moving), np.zeros(100)]
+    )
     v = profile[:, None] * velocity
     return start - velocity * duration / 2.0 + np.cumsum(v, axis=0) * PERIOD, v
 
@@ -141,7 +149,9 @@ def measured(
     disturbed = torque + (errors * STEADY_TORQUE) @ WRIST
     velocity = np.gradient(position, PERIOD, axis=0)
     time = np.arange(len(q)) * PERIOD
-    return JointRecord(setup.robot.joint_names, time, position, velocity, disturbed, Path("synthetic"), "0" * 64)
+    return JointRecord(
+        setup.robot.joint_names, time, position, velocity, disturbed, Path("synthetic"), "0" * 64
+    )
 
 
 SCALES = (0.5, 1.5)
@@ -179,7 +189,9 @@ class Outcome(NamedTuple):
         return self.error == self.error
 
 
-def outcomes(estimates: Sequence[ElementEstimate], truth: Sequence[FrictionElement]) -> list[Outcome]:
+def outcomes(
+    estimates: Sequence[ElementEstimate], truth: Sequence[FrictionElement]
+) -> list[Outcome]:
     """Return what became of c0 and c1 of every element."""
     found = []
     for estimate, element in zip(estimates, truth, strict=True):
@@ -197,9 +209,14 @@ def random_bristles(base: FrictionSet, rng: np.random.Generator) -> FrictionSet:
     for element in base.elements:
         names = ("tau_c", "rise", "omega_s", "delta", "c0", "c1", "c2")
         scale = dict(zip(names, rng.uniform(*SCALES, len(names)), strict=True))
-        changed: dict[str, float] = {name: scale[name] * element.parameters[name] for name in names[2:]}
+        changed: dict[str, float] = {
+            name: scale[name] * element.parameters[name] for name in names[2:]
+        }
         for sign in ("positive", "negative"):
-            coulomb, static = element.parameters[f"tau_c_{sign}"], element.parameters[f"tau_s_{sign}"]
+            coulomb, static = (
+                element.parameters[f"tau_c_{sign}"],
+                element.parameters[f"tau_s_{sign}"],
+            )
             changed[f"tau_c_{sign}"] = scale["tau_c"] * coulomb
             changed[f"tau_s_{sign}"] = scale["tau_c"] * coulomb + scale["rise"] * (static - coulomb)
         elements.append(element.with_parameters(changed))
@@ -216,22 +233,34 @@ def run_presliding(setup: Setup, options: PlanOptions | None = None) -> list[Run
         fast = simulate(setup, experiment.points, home, experiment.duration, record_fast=True).fast
         assert fast is not None
         time = np.arange(len(fast.motor_states)) * setup.rates.period
-        runs.append(Run(experiment.name, time, np.ascontiguousarray(fast.motor_states[:, ::2].transpose(1, 0, 2))))
+        runs.append(
+            Run(
+                experiment.name,
+                time,
+                np.ascontiguousarray(fast.motor_states[:, ::2].transpose(1, 0, 2)),
+            )
+        )
     return runs
 
 
 def recorded(setup: Setup, run: Run, rng: np.random.Generator, noise: Noise) -> JointRecord:
     """Return the joint-side record of a run with the torque noise of the motors' sensors."""
     gear = setup.drives.gear
-    per_sample = noise.torque * np.sqrt(1e-3 / setup.rates.period)  # the rig's noise is that of 1 ms means
+    per_sample = noise.torque * np.sqrt(
+        1e-3 / setup.rates.period
+    )  # the rig's noise is that of 1 ms means
     position, torque = run.motor
     noisy = torque * gear + per_sample * STEADY_TORQUE * rng.standard_normal(torque.shape)
     joints = np.linalg.solve(WRIST, (position / gear).T).T
     velocity = np.gradient(joints, setup.rates.period, axis=0)
-    return JointRecord(setup.robot.joint_names, run.time, joints, velocity, noisy @ WRIST, Path(run.name), run.name)
+    return JointRecord(
+        setup.robot.joint_names, run.time, joints, velocity, noisy @ WRIST, Path(run.name), run.name
+    )
 
 
-def measured_sliding(elements: Sequence[FrictionElement], rng: np.random.Generator) -> list[FrictionElement]:
+def measured_sliding(
+    elements: Sequence[FrictionElement], rng: np.random.Generator
+) -> list[FrictionElement]:
     """Return the sliding regime as it is identified: with errors."""
     found = []
     for element in elements:

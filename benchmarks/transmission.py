@@ -41,7 +41,9 @@ ROUNDS = 15
 
 def elastic(setup: Setup, factor: float = 1.0, backlash: float = 0.0) -> Setup:
     """Return a setup with the example's stiffnesses, times a factor, and play, rad."""
-    gears = Elasticity(stiffness=EXAMPLE * factor, damping=DAMPED * EXAMPLE * factor, backlash=np.full(6, backlash))
+    gears = Elasticity(
+        stiffness=EXAMPLE * factor, damping=DAMPED * EXAMPLE * factor, backlash=np.full(6, backlash)
+    )
     return replace(setup, drives=setup.drives.replaced(elasticity=gears))
 
 
@@ -53,7 +55,9 @@ def frequencies(setup: Setup) -> tuple[Array, Array]:
     coupled = stiffness @ wrist
     held = linalg.eigh(wrist.T @ coupled, mass, eigvals_only=True)
     both = np.block([[wrist.T @ coupled, -coupled.T], [-coupled, stiffness]])
-    free = linalg.eigh(both, linalg.block_diag(mass, np.diag(setup.drives.rotor_inertia)), eigvals_only=True)[6:]
+    free = linalg.eigh(
+        both, linalg.block_diag(mass, np.diag(setup.drives.rotor_inertia)), eigvals_only=True
+    )[6:]
     return np.sqrt(held) / (2.0 * np.pi), np.sqrt(free) / (2.0 * np.pi)
 
 
@@ -71,7 +75,11 @@ def way(setup: Setup, substeps: int = 1) -> Array:
 
 def cost(work: Work) -> dict[str, float]:
     """Return the time of the reference line over that of rigid gears, by case, taken in turns."""
-    cases = {"rigid": work.setup, "elastic": elastic(work.setup), "elastic with play": elastic(work.setup, 1.0, 1e-4)}
+    cases = {
+        "rigid": work.setup,
+        "elastic": elastic(work.setup),
+        "elastic with play": elastic(work.setup, 1.0, 1e-4),
+    }
     runs = {
         name: timed(lambda one=one: work.run(one))  # type: ignore[misc]
         for name, one in cases.items()
@@ -83,7 +91,9 @@ def stopping(setup: Setup) -> tuple[Array, Array, Array]:
     """Return times, s, and speeds, rad/s, of link 1 and its motor after a quick move has stopped."""
     names, zero, end = setup.robot.joint_names, np.zeros(6), np.zeros(6)
     end[0] = 0.3
-    move = TrajectoryPoints.create(names, names, [0.0, 0.4], [zero, end], [zero, zero], [zero, zero])
+    move = TrajectoryPoints.create(
+        names, names, [0.0, 0.4], [zero, end], [zero, zero], [zero, zero]
+    )
     run = simulate(setup, move, zero, 0.9, record_fast=True)
     assert run.fast is not None
     links = run.slow.joint_states[:, 1, 0]
@@ -101,12 +111,17 @@ def draw(setup: Setup, miss: Array, file: Path) -> None:
         figure.set_size_inches(WIDTH, 6.4)
         limit, ringing = figure.subplots(2)
         limit.loglog(factors, miss * 1e6, ".-", color=COLOURS[0], label="elastic less rigid")
-        limit.loglog(factors, 2.0 * miss[-1] * 1e6 * factors[-1] / factors, ":", color=INK, label="order 1")
+        limit.loglog(
+            factors, 2.0 * miss[-1] * 1e6 * factors[-1] / factors, ":", color=INK, label="order 1"
+        )
         limit.set(xlabel="stiffness, times the example's", ylabel="largest difference, µrad")
         ringing.plot(times, soft * 1e3, color=COLOURS[1], label="link, a tenth of the stiffness")
         ringing.plot(times, motor * 1e3, color=COLOURS[0], label="its motor")
         ringing.plot(times, rigid * 1e3, "--", color=INK, label="rigid gears")
-        ringing.set(xlabel="time, s, after a quick move that ends at 0.4 s", ylabel="speed of joint 1, mrad/s")
+        ringing.set(
+            xlabel="time, s, after a quick move that ends at 0.4 s",
+            ylabel="speed of joint 1, mrad/s",
+        )
         plain_decades(limit)
         for panel in (limit, ringing):
             panel.legend()
@@ -120,7 +135,10 @@ def main() -> int:
     held, free = frequencies(setup)
     print_table(
         ("eigenfrequencies, Hz", *(str(k) for k in range(1, 7))),
-        [("motors held", *(f"{f:.1f}" for f in held)), ("motors free", *(f"{f:.1f}" for f in free))],
+        [
+            ("motors held", *(f"{f:.1f}" for f in held)),
+            ("motors free", *(f"{f:.1f}" for f in free)),
+        ],
     )
     print()
     rigid = way(setup)
@@ -146,7 +164,10 @@ def main() -> int:
         + [("rigid", f"{run_line(setup, task).path_accuracy.worst * 1e3:.3f}")],
     )
     print()
-    print_table(("a tick of the closed loop", "x rigid"), [(name, f"{r:.2f}") for name, r in cost(work).items()])
+    print_table(
+        ("a tick of the closed loop", "x rigid"),
+        [(name, f"{r:.2f}") for name, r in cost(work).items()],
+    )
     if options.plot is not None:
         draw(setup, miss, options.plot)
     return 0

@@ -88,7 +88,9 @@ class Pace:
 
 def processor_time(pid: int) -> float:
     """Return the processor time that a process has used, s, finer than /proc, which counts ticks of the kernel."""
-    return time.clock_gettime((~pid << 3) | 2)  # CPUCLOCK_SCHED of another process, as clock_getcpuclockid makes it
+    return time.clock_gettime(
+        (~pid << 3) | 2
+    )  # CPUCLOCK_SCHED of another process, as clock_getcpuclockid makes it
 
 
 @contextmanager
@@ -109,7 +111,9 @@ def socket_alone(address: str) -> Iterator[None]:
     from websockets.typing import Subprotocol
 
     protocol = Subprotocol(f"viser-v{viser.__version__}")
-    with connect(address.replace("http", "ws"), subprotocols=[protocol], max_size=None, compression=None) as connection:
+    with connect(
+        address.replace("http", "ws"), subprotocols=[protocol], max_size=None, compression=None
+    ) as connection:
         threading.Thread(target=lambda: all(True for _ in connection), daemon=True).start()
         yield
 
@@ -127,7 +131,11 @@ def measure(rounds: int = ROUNDS) -> dict[str, float]:
     ):
         with ProcessGroup() as group:
             first, *others = executables
-            nodes = [group.start(first, executable(first, "--ros-args", "-p", "rx90_sim:real_time_factor:=0.0"))]
+            nodes = [
+                group.start(
+                    first, executable(first, "--ros-args", "-p", "rx90_sim:real_time_factor:=0.0")
+                )
+            ]
             nodes += [group.start(name, executable(name)) for name in others]
             pace = Pace(nodes)
             try:

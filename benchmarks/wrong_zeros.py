@@ -73,13 +73,19 @@ def main() -> int:
         for condition, disturbances in CONDITIONS.items():
             case = Case.of(arm, disturbances, RATE, 1, seed)
             runs = Recorded.of([case.run(0).record(arm), case.run(1).record(arm)], case.rigid)
-            for name, recorded in (("excitation", runs), ("sweeps", sweeps(seed, arm, disturbances))):
+            for name, recorded in (
+                ("excitation", runs),
+                ("sweeps", sweeps(seed, arm, disturbances)),
+            ):
                 key = f"zeros_{name}_{condition}"
                 alarms[key].append(bool(find_mistakes(case.rigid, recorded)[0]))
                 motion = recorded.motion.copy()
                 motion[0, :, joint] += turn
                 mistakes, _ = find_mistakes(case.rigid, replace(recorded, motion=motion))
-                found[key].append([(mistake.quantity, mistake.motors) for mistake in mistakes] == [("zero", (joint,))])
+                found[key].append(
+                    [(mistake.quantity, mistake.motors) for mistake in mistakes]
+                    == [("zero", (joint,))]
+                )
     rows = [(key, f"{np.mean(alarms[key]):.0%}", f"{np.mean(found[key]):.0%}") for key in alarms]
     print_table(("recording", "alarms with right zeros", "quarter turns named"), rows)
     merge({f"{key}_false": float(np.mean(said)) for key, said in alarms.items()})

@@ -35,12 +35,18 @@ nb_ipywidgets_js: dict[str, dict[str, str]] = {}  # of another host, and no note
 
 default_role = "code"
 nitpicky = True
-nitpick_ignore_regex = [(r"py:.*", r".*")]  # of NumPy and others, whose inventories are on other hosts
+nitpick_ignore_regex = [
+    (r"py:.*", r".*")
+]  # of NumPy and others, whose inventories are on other hosts
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 autodoc_member_order = "bysource"
 autodoc_class_signature = "mixed"
-autodoc_default_options = {"members": True, "imported-members": True, "exclude-members": "__init__,__new__"}
+autodoc_default_options = {
+    "members": True,
+    "imported-members": True,
+    "exclude-members": "__init__,__new__",
+}
 napoleon_use_ivar = True
 python_maximum_signature_line_length = 88
 

@@ -31,7 +31,10 @@ def end(event: ProcessExited, context: LaunchContext) -> Shutdown | None:
 
 
 def generate_launch_description() -> LaunchDescription:
-    given = {name: ParameterValue(LaunchConfiguration(name), value_type=kind) for name, kind in TYPES.items()}
+    given = {
+        name: ParameterValue(LaunchConfiguration(name), value_type=kind)
+        for name, kind in TYPES.items()
+    }
     node = Node(
         package="rx90_emulator",
         executable="friction_bench",
@@ -40,5 +43,8 @@ def generate_launch_description() -> LaunchDescription:
         output="screen",
         on_exit=end,
     )
-    declared = [DeclareLaunchArgument(name, default_value=value, description=text) for name, value, text in ARGUMENTS]
+    declared = [
+        DeclareLaunchArgument(name, default_value=value, description=text)
+        for name, value, text in ARGUMENTS
+    ]
     return LaunchDescription([*declared, node])

@@ -26,7 +26,11 @@ if TYPE_CHECKING:
 
 ARGUMENTS = (
     ("namespace", "", "of all nodes; then /clock, /tf and /tf_static are in it too"),
-    ("robot", DEFAULT_ROBOT, "name of a shipped robot, or your own robot folder with a folder moveit/ in it"),
+    (
+        "robot",
+        DEFAULT_ROBOT,
+        "name of a shipped robot, or your own robot folder with a folder moveit/ in it",
+    ),
     ("rviz", "true", "plan and execute in RViz"),
 )
 PIPELINES = ["pilz_industrial_motion_planner", "ompl"]
@@ -81,7 +85,9 @@ def moveit(context: LaunchContext) -> list[Action]:
         given = context.launch_configurations.get(name)
         if given:
             accepted = f"robot:=FOLDER with that {name}"
-            raise RuntimeError(f"{name}:={given}: MoveIt's files are made for a robot folder; accepted: {accepted}")
+            raise RuntimeError(
+                f"{name}:={given}: MoveIt's files are made for a robot folder; accepted: {accepted}"
+            )
     # Here, because it takes a while.
     from rx90_common.description.robot import load_robot
 
@@ -111,7 +117,10 @@ def moveit(context: LaunchContext) -> list[Action]:
 
 
 def generate_launch_description() -> LaunchDescription:
-    declared = [DeclareLaunchArgument(name, default_value=value, description=text) for name, value, text in ARGUMENTS]
+    declared = [
+        DeclareLaunchArgument(name, default_value=value, description=text)
+        for name, value, text in ARGUMENTS
+    ]
     arm = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(Path(__file__).with_name("rx90.launch.py"))),
         # The other RViz stays closed; what is set here holds for what comes after it, too.

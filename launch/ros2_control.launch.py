@@ -24,7 +24,11 @@ from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 ARGUMENTS = (
     ("mode", "position", "position: set-points for the CS7B; effort: torques at the joints"),
     ("robot", DEFAULT_ROBOT, "name of a shipped robot, or your own robot folder"),
-    ("controllers", "", "parameters of controller manager and controllers; left out: config/ros2_control/"),
+    (
+        "controllers",
+        "",
+        "parameters of controller manager and controllers; left out: config/ros2_control/",
+    ),
 )
 CONTROLLERS = {"position": "joint_trajectory_controller", "effort": "effort_controller"}
 # Torques are commanded as often as the controller manager of the shipped file updates.
@@ -40,7 +44,11 @@ def described(files: RobotFiles, mode: str) -> str:
 
     arm = ET.fromstring(load_robot(files.urdf, files.tool).urdf)
     file = str(config_path("ros2_control/rx90.ros2_control.xacro"))
-    arm.extend(ET.fromstring(xacro.process_file(file, mappings={"mode": mode}).toxml()).findall("ros2_control"))
+    arm.extend(
+        ET.fromstring(xacro.process_file(file, mappings={"mode": mode}).toxml()).findall(
+            "ros2_control"
+        )
+    )
     return ET.tostring(arm, encoding="unicode")
 
 
@@ -74,15 +82,22 @@ def actions(context: LaunchContext) -> list[Action]:
     ]
     if mode == "effort":
         parameters = [{"robot": robot, **EFFORTS}]
-        arm: Action = Node(package="rx90_emulator", executable="rx90_sim", parameters=parameters, output="screen")
+        arm: Action = Node(
+            package="rx90_emulator", executable="rx90_sim", parameters=parameters, output="screen"
+        )
     else:
         file = str(Path(__file__).with_name("rx90.launch.py"))
         words = {"robot": robot, "time_mode": "free_running"}
-        arm = IncludeLaunchDescription(PythonLaunchDescriptionSource(file), launch_arguments=words.items())
+        arm = IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(file), launch_arguments=words.items()
+        )
     # What may be missing comes first: a missing package ends the launch, and no node is left behind then.
     return [*started, arm]
 
 
 def generate_launch_description() -> LaunchDescription:
-    declared = [DeclareLaunchArgument(name, default_value=value, description=text) for name, value, text in ARGUMENTS]
+    declared = [
+        DeclareLaunchArgument(name, default_value=value, description=text)
+        for name, value, text in ARGUMENTS
+    ]
     return LaunchDescription([*declared, OpaqueFunction(function=actions)])

@@ -22,12 +22,20 @@ ARGUMENTS = (
     ("namespace", "", "of all nodes; then /clock, /tf and /tf_static are in it too"),
     ("time_mode", "lock_step", "lock_step or free_running"),
     ("real_time_factor", "1.0", "pace in lock_step; 0.0: as fast as it goes"),
-    ("initial_position", "[0.0]", "joint positions at the start and after a reset, rad; one for each, or one for all"),
+    (
+        "initial_position",
+        "[0.0]",
+        "joint positions at the start and after a reset, rad; one for each, or one for all",
+    ),
     ("paused", "false", "begin with time standing still"),
     ("autostart", "true", "be active at once; else as the nodes' lifecycle services say"),
     ("robot", DEFAULT_ROBOT, "name of a shipped robot, or your own robot folder"),
     *((name, "", f"{DESCRIPTIONS[name]}; left out: the robot's") for name in MODEL_FILES),
-    ("velocities_from_positions", "false", "leave aside the velocities that points carry between both ends"),
+    (
+        "velocities_from_positions",
+        "false",
+        "leave aside the velocities that points carry between both ends",
+    ),
     ("composed", "false", "both nodes in one process, which is several times faster"),
     ("robot_state_publisher", "false", "publish the transforms of the arm"),
     ("rviz", "false", "show the arm in RViz, with its transforms"),
@@ -63,7 +71,9 @@ def transforms(context: LaunchContext) -> list[Action]:
     # Here, because it takes a while and most launches do without.
     from rx90_common.description.robot import load_robot
 
-    robot, urdf, tool = (LaunchConfiguration(name).perform(context) or None for name in ("robot", "urdf", "tool"))
+    robot, urdf, tool = (
+        LaunchConfiguration(name).perform(context) or None for name in ("robot", "urdf", "tool")
+    )
     files = RobotFiles.named(robot, urdf=urdf, tool=tool)
     robot = load_robot(files.urdf, files.tool)
     return [
@@ -71,7 +81,12 @@ def transforms(context: LaunchContext) -> list[Action]:
             package="robot_state_publisher",
             executable="robot_state_publisher",
             namespace=LaunchConfiguration("namespace"),
-            parameters=[{"robot_description": ParameterValue(robot.urdf, value_type=str), "use_sim_time": True}],
+            parameters=[
+                {
+                    "robot_description": ParameterValue(robot.urdf, value_type=str),
+                    "use_sim_time": True,
+                }
+            ],
             # The simulation publishes the description under that name.
             remappings=[*OWN, ("robot_description", "robot_state_publisher/robot_description")],
             on_exit=end,
@@ -80,7 +95,9 @@ def transforms(context: LaunchContext) -> list[Action]:
 
 
 def generate_launch_description() -> LaunchDescription:
-    wanted = OrSubstitution(LaunchConfiguration("robot_state_publisher"), LaunchConfiguration("rviz"))
+    wanted = OrSubstitution(
+        LaunchConfiguration("robot_state_publisher"), LaunchConfiguration("rviz")
+    )
     composed = LaunchConfiguration("composed")
     rviz = Node(
         package="rviz2",
@@ -91,7 +108,10 @@ def generate_launch_description() -> LaunchDescription:
         remappings=OWN,
         condition=IfCondition(LaunchConfiguration("rviz")),
     )
-    declared = [DeclareLaunchArgument(name, default_value=value, description=text) for name, value, text in ARGUMENTS]
+    declared = [
+        DeclareLaunchArgument(name, default_value=value, description=text)
+        for name, value, text in ARGUMENTS
+    ]
     # A missing package ends the launch: what may be missing comes first, so that no node is left behind then.
     return LaunchDescription(
         [

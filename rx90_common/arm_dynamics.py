@@ -29,7 +29,18 @@ from rx90_common.description.chain import RigidChain
 from rx90_common.description.drives import DriveParameters
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.elementary import angles_of, sine_cosine, sines_cosines
-from rx90_common.kernels.lanes import Lanes, delay, first, fma, lane, load, prefix_sum, size, store, suffix_sum
+from rx90_common.kernels.lanes import (
+    Lanes,
+    delay,
+    first,
+    fma,
+    lane,
+    load,
+    prefix_sum,
+    size,
+    store,
+    suffix_sum,
+)
 
 
 @cache
@@ -37,7 +48,11 @@ def manipulator_dtype(joints: int) -> np.dtype[np.void]:
     """Return the type of the constants, the link last: base parameters, gravity, the rotors' inertia, the spring."""
     return np.dtype(
         [
-            ("frame", np.float64, (3, 3, joints)),  # column, component, link: in the frame before, at q = 0
+            (
+                "frame",
+                np.float64,
+                (3, 3, joints),
+            ),  # column, component, link: in the frame before, at q = 0
             ("next_origin", np.float64, (3, joints)),
             ("first_origin", np.float64, 3),
             ("first_moment", np.float64, (2, joints)),  # x, y
@@ -187,7 +202,14 @@ def mass_and_bias(
     lever = cross(origin, z)
     spread = _about_base(pose.spread, moment, origin)
     moment = sum_to_tip(moment)
-    _project(arm.rotor, z, lever, _angular_momentum(spread, moment, z, lever), cross(z, moment), mass_matrix)
+    _project(
+        arm.rotor,
+        z,
+        lever,
+        _angular_momentum(spread, moment, z, lever),
+        cross(z, moment),
+        mass_matrix,
+    )
 
 
 @kernel
@@ -372,7 +394,9 @@ def _angular_momentum(spread: Symmetric, moment: Vector, z: Vector, lever: Vecto
 
 
 @inlined
-def _project(rotor: Any, z: Vector, lever: Vector, angular: Vector, linear: Vector, mass_matrix: Any) -> None:
+def _project(
+    rotor: Any, z: Vector, lever: Vector, angular: Vector, linear: Vector, mass_matrix: Any
+) -> None:
     """Write the mass matrix: the momentum that joint i makes, projected on the axes of the joints before it."""
     # Only joints before i count in row i, so four lanes do for the first four rows.
     near = first_links(z)
@@ -449,7 +473,9 @@ def base_parameters(chain: RigidChain) -> BaseParameters:
 @lru_cache(maxsize=32)
 def _base_parameters(*content: bytes) -> BaseParameters:
     """Return those of a chain by its content; runs of a sweep mostly have one arm."""
-    chain = RigidChain(*(np.frombuffer(one).reshape(shape) for one, shape in zip(content, _SHAPES, strict=True)))
+    chain = RigidChain(
+        *(np.frombuffer(one).reshape(shape) for one, shape in zip(content, _SHAPES, strict=True))
+    )
     mass = chain.mass.copy()
     first = mass[:, None] * chain.com
     second = _second_moments(chain)

@@ -33,7 +33,9 @@ def rigid_torque(
     return links + rotor_and_spring_torque(rotor, spring, position, acceleration)
 
 
-def rotor_and_spring_torque(rotor: Array, spring: Array, position: Array, acceleration: Array) -> Array:
+def rotor_and_spring_torque(
+    rotor: Array, spring: Array, position: Array, acceleration: Array
+) -> Array:
     """Return the share of rotors and springs in `rigid_torque`, arguments as there, Nm, shape (m, n)."""
     return np.asarray(acceleration @ rotor.T + spring * np.sin(position))
 

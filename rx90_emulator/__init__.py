@@ -47,7 +47,10 @@ if TYPE_CHECKING:
         compare_series as compare_series,
     )
     from rx90_common.bags.joint_series import JointSeries as JointSeries
-    from rx90_common.bags.reading import read_bag as read_bag, read_joint_states as read_joint_states
+    from rx90_common.bags.reading import (
+        read_bag as read_bag,
+        read_joint_states as read_joint_states,
+    )
     from rx90_common.bags.tables import comparison_text as comparison_text
     from rx90_common.bags.tolerance import Tolerances as Tolerances
     from rx90_common.bags.writing import write_joint_states as write_joint_states
@@ -74,7 +77,10 @@ if TYPE_CHECKING:
     )
     from rx90_emulator.correction.methods import NormOptimal as NormOptimal
     from rx90_emulator.correction.path import TrajectoryPath as TrajectoryPath
-    from rx90_emulator.correction.recorded import learn_from_record as learn_from_record, measured as measured
+    from rx90_emulator.correction.recorded import (
+        learn_from_record as learn_from_record,
+        measured as measured,
+    )
     from rx90_emulator.identification.arm import RigidArm as RigidArm
     from rx90_emulator.identification.excitation import identify_excitation as identify_excitation
     from rx90_emulator.identification.excitation import (
@@ -82,7 +88,9 @@ if TYPE_CHECKING:
         predict_torque as predict_torque,
         regressor as regressor,
     )
-    from rx90_emulator.identification.experiments.plan import IdentificationBags as IdentificationBags
+    from rx90_emulator.identification.experiments.plan import (
+        IdentificationBags as IdentificationBags,
+    )
     from rx90_emulator.identification.experiments.plan import plan_experiments as plan_experiments
     from rx90_emulator.identification.experiments.series import record_on_engine as record_on_engine
     from rx90_emulator.identification.identify import (
@@ -114,9 +122,16 @@ if TYPE_CHECKING:
         run_path as run_path,
     )
     from rx90_emulator.loop.own_controller import run_controller as run_controller
-    from rx90_emulator.loop.parameters import parameters as parameters, with_parameters as with_parameters
+    from rx90_emulator.loop.parameters import (
+        parameters as parameters,
+        with_parameters as with_parameters,
+    )
     from rx90_emulator.loop.path_file import load_path as load_path
-    from rx90_emulator.loop.result import RunResult as RunResult, save_arrays as save_arrays, write_bag as write_bag
+    from rx90_emulator.loop.result import (
+        RunResult as RunResult,
+        save_arrays as save_arrays,
+        write_bag as write_bag,
+    )
     from rx90_emulator.loop.setup import Setup as Setup, load_setup as load_setup
     from rx90_emulator.loop.path_file import load_trajectory as load_trajectory
     from rx90_emulator.sweep.execution import run_sweep as run_sweep
@@ -131,7 +146,9 @@ if TYPE_CHECKING:
 _HOMES = {
     name: module
     for module, names in re.findall(
-        r"^    from (\S+) import (\([^)]*\)|.*)$", _File(__file__).read_text(encoding="utf-8"), re.MULTILINE
+        r"^    from (\S+) import (\([^)]*\)|.*)$",
+        _File(__file__).read_text(encoding="utf-8"),
+        re.MULTILINE,
     )
     for name in re.findall(r"(\w+) as", names)
 }
@@ -143,7 +160,9 @@ if not TYPE_CHECKING:  # so that type checkers know of no other names
     def __getattr__(name: str) -> Any:
         """Import a name of the API when it is first used."""
         if name not in _HOMES:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}; help({__name__}) lists them")
+            raise AttributeError(
+                f"module {__name__!r} has no attribute {name!r}; help({__name__}) lists them"
+            )
         globals()[name] = found = getattr(import_module(_HOMES[name]), name)
         return found
 

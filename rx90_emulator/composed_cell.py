@@ -40,7 +40,9 @@ def own_parameters(args: Sequence[str]) -> dict[str, list[str]]:
         match = _PARAMETER.fullmatch(word) if option in {"-p", "--param"} else None
         if match is not None:
             if match["node"] not in own:
-                raise ConfigError(f"-p {quoted(word)}: no such node here; accepted: {', '.join(own)}")
+                raise ConfigError(
+                    f"-p {quoted(word)}: no such node here; accepted: {', '.join(own)}"
+                )
             own[match["node"]] += ["-p", match["assignment"]]
     return {node: ["--ros-args", *words] if words else [] for node, words in own.items()}
 
@@ -58,7 +60,9 @@ def compose(own: Mapping[str, Sequence[str]]) -> list[TickingNode]:
     control = ControllerNode(link.end, own[CONTROLLER], local=True)
     name = simulation.node.get_fully_qualified_name()
     if name == control.node.get_fully_qualified_name():
-        raise ConfigError(f"both nodes are named {name}; accepted: -r {SIMULATION}:__node:=... for one node alone")
+        raise ConfigError(
+            f"both nodes are named {name}; accepted: -r {SIMULATION}:__node:=... for one node alone"
+        )
     link.served = MOTOR_STATES
     link.serve = control.answer
     simulation.lead(control.follow, lambda: control.publishers)

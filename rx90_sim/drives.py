@@ -49,7 +49,9 @@ from rx90_common.kernels.elementary import (
 )
 from rx90_common.kernels.lanes import Lanes, Number, absolute, fma, load, select, size, store
 
-_SMALL = 1e-2  # rad; below it the series of sin(x) / x is exact to rounding, and 0 is not divided by
+_SMALL = (
+    1e-2  # rad; below it the series of sin(x) / x is exact to rounding, and 0 is not divided by
+)
 _STREAM = np.uint64(1 << 32)  # the sequences of the sensors begin away from those of the friction
 
 
@@ -68,7 +70,9 @@ def cogging_dtype(motors: int) -> np.dtype[np.void]:
 
 def cogging_state_dtype(motors: int) -> np.dtype[np.void]:
     """Return the type of the workspace: of the motors; torques joint side, Nm."""
-    return np.dtype([(name, np.float64, (motors,)) for name in ("angle", "speed", "torque")], align=True)
+    return np.dtype(
+        [(name, np.float64, (motors,)) for name in ("angle", "speed", "torque")], align=True
+    )
 
 
 def fill_cogging(record: Any, cogging: Cogging, gear: Array) -> None:
@@ -92,7 +96,9 @@ def _mean_of_wave(half: Lanes) -> Lanes:
 
 
 @kernel
-def add_cogging(plant: Any, state: Any, angle: Array, velocity: Array, torque: Array, step: float) -> None:
+def add_cogging(
+    plant: Any, state: Any, angle: Array, velocity: Array, torque: Array, step: float
+) -> None:
     """Add the mean cogging over a step to torques of the joints.
 
     Args:
@@ -125,7 +131,11 @@ def winding_dtype(motors: int) -> np.dtype[np.void]:
     return np.dtype(
         [
             ("used", np.int64),
-            ("heat", np.float64, (motors,)),  # of the square of the torque at the reference temperature, K/s / Nm^2
+            (
+                "heat",
+                np.float64,
+                (motors,),
+            ),  # of the square of the torque at the reference temperature, K/s / Nm^2
             ("coefficient", np.float64),
             ("reference", np.float64),
             ("cooling", np.float64, (motors,)),  # 1/s
@@ -186,7 +196,9 @@ def current_shares(plant: Record, temperature: Array) -> Array:
         temperature: of the windings, degrees Celsius, shape (n,).
     """
     winding = plant["winding"][0]
-    return np.array([current_share(winding, float(one)) if winding["used"] else 1.0 for one in temperature])
+    return np.array(
+        [current_share(winding, float(one)) if winding["used"] else 1.0 for one in temperature]
+    )
 
 
 def warm_motors(plant: Record, temperature: Array) -> str:
@@ -228,14 +240,20 @@ def sensor_state_dtype(motors: int) -> np.dtype[np.void]:
     return np.dtype(
         [
             ("counter", np.uint64, (motors,)),
-            ("error", np.float64, (motors,)),  # by how much the current is less than without errors, A
+            (
+                "error",
+                np.float64,
+                (motors,),
+            ),  # by how much the current is less than without errors, A
             ("torque", np.float64, (motors,)),  # reported, motor side, Nm
         ],
         align=True,
     )
 
 
-def fill_sensor(record: Any, sensor: CurrentSensor, torque_constant: Array, period: float, seed: int) -> None:
+def fill_sensor(
+    record: Any, sensor: CurrentSensor, torque_constant: Array, period: float, seed: int
+) -> None:
     """Write the constants for a tick of `period`, s."""
     record["used"] = sensor.used
     if sensor.used:
@@ -269,7 +287,11 @@ def sense_currents(sensor: Any, state: Any, torque: Array, powered: bool) -> Non
 @kernel
 def _measure(sensor: Any, state: Any, motor: int, current: float) -> float:
     state.counter[motor] += GOLDEN
-    shown: float = current + sensor.offset[motor] + sensor.noise[motor] * nearly_normal(mixed(state.counter[motor]))
+    shown: float = (
+        current
+        + sensor.offset[motor]
+        + sensor.noise[motor] * nearly_normal(mixed(state.counter[motor]))
+    )
     if sensor.resolution[motor] > 0.0:
         shown = whole_steps(shown, sensor.resolution[motor])
     state.torque[motor] = sensor.torque_constant[motor] * shown
@@ -278,7 +300,12 @@ def _measure(sensor: Any, state: Any, motor: int, current: float) -> float:
 
 @inlined
 def observe(
-    angle: Lanes, position: Lanes, velocity: Lanes, period: float, position_gain: float, velocity_gain: float
+    angle: Lanes,
+    position: Lanes,
+    velocity: Lanes,
+    period: float,
+    position_gain: float,
+    velocity_gain: float,
 ) -> tuple[Lanes, Lanes]:
     """Advance the tracking loop of a resolver-to-digital converter: of second order, critically damped.
 

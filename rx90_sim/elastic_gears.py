@@ -84,11 +84,23 @@ def transmission_state_dtype(drives: int) -> np.dtype[np.void]:
     """Return the type of the state."""
     return np.dtype(
         [
-            ("twist", np.float64, (drives,)),  # motor angle at the gear's output minus that of the driven side, rad
+            (
+                "twist",
+                np.float64,
+                (drives,),
+            ),  # motor angle at the gear's output minus that of the driven side, rad
             ("rate", np.float64, (drives,)),
             ("torque", np.float64, (drives,)),  # mean over the last step, Nm
-            ("friction", np.float64, (drives,)),  # on the motors, with brakes and cogging, mean over the last step, Nm
-            ("link_torque", np.float64, (drives,)),  # on the links, but for the transmitted one, in the last step, Nm
+            (
+                "friction",
+                np.float64,
+                (drives,),
+            ),  # on the motors, with brakes and cogging, mean over the last step, Nm
+            (
+                "link_torque",
+                np.float64,
+                (drives,),
+            ),  # on the links, but for the transmitted one, in the last step, Nm
             # Workspace of a step.
             ("acceleration", np.float64, (drives,)),  # of the twist
             ("twist_mid", np.float64, (drives,)),
@@ -119,14 +131,18 @@ def mean_torque(
         step: s.
     """
     if half_play == 0.0:
-        return stiffness * (twist + 0.5 * way) + damping * way / step, 0.5 * stiffness + damping / step
+        return stiffness * (
+            twist + 0.5 * way
+        ) + damping * way / step, 0.5 * stiffness + damping / step
     ahead, ahead_slope = _push(stiffness, damping, twist - half_play, way, step)
     behind, behind_slope = _push(stiffness, damping, -twist - half_play, -way, step)
     return ahead - behind, ahead_slope + behind_slope
 
 
 @kernel
-def _push(stiffness: float, damping: float, depth: float, way: float, step: float) -> tuple[float, float]:
+def _push(
+    stiffness: float, damping: float, depth: float, way: float, step: float
+) -> tuple[float, float]:
     """Return the torque of one flank, and its derivative, for a depth of contact that changes by `way`."""
     damper = damping * way / step
     drag = damping / step
@@ -141,7 +157,9 @@ def _push(stiffness: float, damping: float, depth: float, way: float, step: floa
         return 0.5 * stiffness * (depth + end) + damper, 0.5 * stiffness + drag
     if way > 0.0:
         share = end / way  # of the way, in contact
-        return share * (0.5 * stiffness * end + damper), stiffness * share * (1.0 - 0.5 * share) + drag
+        return share * (0.5 * stiffness * end + damper), stiffness * share * (
+            1.0 - 0.5 * share
+        ) + drag
     share = -depth / way
     return share * 0.5 * stiffness * depth, share * (0.5 * stiffness * share + drag)
 
@@ -185,7 +203,9 @@ def _twist_by_weight(plant: Any, gears: Any, weight: Array) -> None:
     for i in range(size(constants.rotor)):
         gears.twist[i] = 0.0
         if constants.elastic[i]:
-            gears.twist[i] = twist_at_rest(constants.stiffness[i], constants.half_play[i], gears.torque[i])
+            gears.twist[i] = twist_at_rest(
+                constants.stiffness[i], constants.half_play[i], gears.torque[i]
+            )
 
 
 @kernel
@@ -215,7 +235,9 @@ def elastic_substep(plant: Any, state: Any, step: float) -> None:
         state.v_mid[i] = state.v[i] + half * state.acceleration[i]
         state.q_mid[i] = state.q[i] + half * (state.v[i] + 0.5 * half * state.acceleration[i])
         gears.rate_mid[i] = gears.rate[i] + half * gears.acceleration[i]
-        gears.twist_mid[i] = gears.twist[i] + half * (gears.rate[i] + 0.5 * half * gears.acceleration[i])
+        gears.twist_mid[i] = gears.twist[i] + half * (
+            gears.rate[i] + 0.5 * half * gears.acceleration[i]
+        )
         state.rhs[i] = 0.0
     _add_friction(plant, state, step)
     add_stops(plant, state)
@@ -234,7 +256,9 @@ def elastic_substep(plant: Any, state: Any, step: float) -> None:
         for i in range(n):
             state.rhs[i] = 0.0
         add_drive_torques(plant.gear, gears.torque, state.rhs)
-        if plant.transmission.link_friction:  # lies between gear and link: the link gets what friction leaves
+        if (
+            plant.transmission.link_friction
+        ):  # lies between gear and link: the link gets what friction leaves
             take_last_friction(plant, state, state.rhs)
         advance_loads(plant, state, state.rhs, state.acceleration, step)
 
@@ -299,7 +323,12 @@ def _linearise(constants: Any, gears: Any, step: float) -> None:
             turn = gears.acceleration[i]
             way = step * (gears.rate[i] + 0.5 * step * turn)
             torque, slope = mean_torque(
-                constants.stiffness[i], constants.damping[i], constants.half_play[i], gears.twist[i], way, step
+                constants.stiffness[i],
+                constants.damping[i],
+                constants.half_play[i],
+                gears.twist[i],
+                way,
+                step,
             )
             gears.slope[i] = 0.5 * step * step * slope
             gears.offset[i] = torque - gears.slope[i] * turn
@@ -347,7 +376,14 @@ def _accelerate_twists(plant: Any, gears: Any, a: Array, step: float) -> bool:
         if constants.half_play[i] > 0.0:
             way = step * (gears.rate[i] + 0.5 * step * turn)
             true, _ = mean_torque(
-                constants.stiffness[i], constants.damping[i], constants.half_play[i], gears.twist[i], way, step
+                constants.stiffness[i],
+                constants.damping[i],
+                constants.half_play[i],
+                gears.twist[i],
+                way,
+                step,
             )
-            found = found and abs(true - torque) <= _TOLERANCE * (abs(true) + abs(torque) + abs(drive) + abs(inertial))
+            found = found and abs(true - torque) <= _TOLERANCE * (
+                abs(true) + abs(torque) + abs(drive) + abs(inertial)
+            )
     return found

@@ -21,7 +21,13 @@ from rx90_common.friction.arm_elements import (
 from rx90_common.friction.bristle import bristle_step, friction_torque
 from rx90_common.friction.compiled_elements import load_elements
 from rx90_common.friction.parts import step as part_steps
-from rx90_common.friction.parts.step import parts_energy, parts_step, parts_torque, reset_parts, tick_parts
+from rx90_common.friction.parts.step import (
+    parts_energy,
+    parts_step,
+    parts_torque,
+    reset_parts,
+    tick_parts,
+)
 from rx90_common.friction.parts.temperature import add_work, advance_temperatures
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, load, size, store
@@ -39,11 +45,15 @@ def reset_friction(plant: Any, state: Any) -> None:
         state.brake_z[element] = -state.rhs[i] / plant.brake.c0[element]
         state.parts.transmitted[i] = state.bias[i]
     share_among_elements(plant.gear, state.parts.transmitted)
-    reset_parts(plant.parts, state.parts, load(state.parts.transmitted, size(state.z)), size(state.z))
+    reset_parts(
+        plant.parts, state.parts, load(state.parts.transmitted, size(state.z)), size(state.z)
+    )
 
 
 @kernel
-def add_friction(plant: Any, state: Any, angle: Array, velocity: Array, torque: Array, step: float) -> None:
+def add_friction(
+    plant: Any, state: Any, angle: Array, velocity: Array, torque: Array, step: float
+) -> None:
     """Advance the bristles of the elements, and of closed brakes, and subtract their torques.
 
     Args:
@@ -61,7 +71,9 @@ def add_friction(plant: Any, state: Any, angle: Array, velocity: Array, torque: 
 
 
 @kernel
-def add_element_friction(plant: Any, state: Any, angle: Array, velocity: Array, torque: Array, step: float) -> None:
+def add_element_friction(
+    plant: Any, state: Any, angle: Array, velocity: Array, torque: Array, step: float
+) -> None:
     """Do the same without the brakes, which then act elsewhere."""
     add_to_joints(plant.gear, torque, -_advance_elements(plant, state, angle, velocity, step))
 
@@ -86,7 +98,9 @@ def _advance_elements(plant: Any, state: Any, angle: Array, velocity: Array, ste
         _parted_friction(plant, state, angle, velocity, step)
         return load(state.parts.friction, size(state.z))
     inputs: Lanes = element_inputs(plant.gear, velocity)
-    z, friction = bristle_step(load_elements(plant.friction, size(state.z)), load(state.z, size(state.z)), inputs, step)
+    z, friction = bristle_step(
+        load_elements(plant.friction, size(state.z)), load(state.z, size(state.z)), inputs, step
+    )
     store(state.z, z)
     return friction
 
@@ -107,7 +121,9 @@ def _parted_friction(plant: Any, state: Any, angle: Array, velocity: Array, step
     n = size(state.z)
     inputs = element_inputs(plant.gear, velocity)
     angles = element_inputs(plant.gear, angle)
-    z, torque = parts_step(plant.friction, plant.parts, state.parts, load(state.z, n), angles, inputs, step, n)
+    z, torque = parts_step(
+        plant.friction, plant.parts, state.parts, load(state.z, n), angles, inputs, step, n
+    )
     store(state.z, z)
     if plant.parts.temperature.used:
         add_work(state.parts.temperature, torque, inputs, step, n)
@@ -160,10 +176,16 @@ def _warm_joints(plant: Any, state: Any) -> None:
     """Let friction and motors heat the joints over a tick."""
     n = size(state.z)
     motor = load(state.motor_torque, size(state.motor_torque))
-    heating = relative_resistance(plant.winding, load(state.temperature, size(state.temperature))) * motor * motor
+    heating = (
+        relative_resistance(plant.winding, load(state.temperature, size(state.temperature)))
+        * motor
+        * motor
+    )
     stored = parts_energy(plant.friction, plant.parts, state.parts, load(state.z, n), n)
     motors = of_motors(plant.gear, heating)
-    advance_temperatures(plant.parts.temperature, state.parts.temperature, stored, motors, plant.period, n)
+    advance_temperatures(
+        plant.parts.temperature, state.parts.temperature, stored, motors, plant.period, n
+    )
 
 
 @kernel
@@ -173,7 +195,15 @@ def add_stops(plant: Any, state: Any) -> None:
         q = state.q_mid[i]
         push = 0.0
         if q > plant.upper[i]:
-            push = min(0.0, plant.stop_stiffness[i] * (plant.upper[i] - q) - plant.stop_damping[i] * state.v_mid[i])
+            push = min(
+                0.0,
+                plant.stop_stiffness[i] * (plant.upper[i] - q)
+                - plant.stop_damping[i] * state.v_mid[i],
+            )
         elif q < plant.lower[i]:
-            push = max(0.0, plant.stop_stiffness[i] * (plant.lower[i] - q) - plant.stop_damping[i] * state.v_mid[i])
+            push = max(
+                0.0,
+                plant.stop_stiffness[i] * (plant.lower[i] - q)
+                - plant.stop_damping[i] * state.v_mid[i],
+            )
         state.rhs[i] += push

@@ -14,7 +14,13 @@ from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError, DivergenceError
 from rx90_common.base.models import Row
 from rx90_common.base.rates import Rates, ticks_per
-from rx90_common.description.coupling import ArmSize, gear_field, to_joint, to_joint_torque, to_motor_torque
+from rx90_common.description.coupling import (
+    ArmSize,
+    gear_field,
+    to_joint,
+    to_joint_torque,
+    to_motor_torque,
+)
 from rx90_common.description.drives import LINK, DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction import FrictionElement, FrictionSet
@@ -111,7 +117,12 @@ def state_dtype(arm: ArmSize) -> np.dtype[np.void]:
 
 
 def _plant_record(
-    robot: RobotModel, drives: DriveParameters, friction: FrictionSet, rates: Rates, substeps: int | None, seed: int
+    robot: RobotModel,
+    drives: DriveParameters,
+    friction: FrictionSet,
+    rates: Rates,
+    substeps: int | None,
+    seed: int,
 ) -> np.ndarray[Any, Any]:
     """Return the constants of a `Plant`, shape (1,), of `plant_dtype`."""
     _check(drives, rates, substeps, seed)
@@ -128,7 +139,15 @@ def _plant_record(
     if plant["transmission"]["flexible"]:
         plant["arm"]["rotor"] = 0.0  # the rotors move on their own
     plant["friction"] = element_arrays(friction.elements)[0]
-    fill_arm_parts(plant["parts"], friction.elements, turning, drives.gear, drives.motor_heat, rates.period, seed)
+    fill_arm_parts(
+        plant["parts"],
+        friction.elements,
+        turning,
+        drives.gear,
+        drives.motor_heat,
+        rates.period,
+        seed,
+    )
     fill_sensor(plant["sensor"], drives.current_sensor, drives.torque_constant, rates.period, seed)
     _fill_brakes(plant["brake"], drives)
     turning.fill(plant, "gear", drives.gear)
@@ -149,7 +168,9 @@ def _plant_record(
 
 def _check(drives: DriveParameters, rates: Rates, substeps: int | None, seed: int) -> None:
     """Refuse friction that is too fast for the tick."""
-    if substeps is not None and not (isinstance(substeps, int | np.integer) and 1 <= substeps <= MAX_STEPS):
+    if substeps is not None and not (
+        isinstance(substeps, int | np.integer) and 1 <= substeps <= MAX_STEPS
+    ):
         raise ConfigError(f"substeps is {substeps}; accepted: an integer >= 1, up to {MAX_STEPS}")
     if drives.velocity_bandwidth >= rates.base_hz / 2:
         raise ConfigError(
@@ -198,7 +219,10 @@ def _brake_elements(torque: Row, stiffness: Row, damping: Row) -> Record:
     values = zip(torque, stiffness, damping, strict=True)
     law = {"omega_s": 1.0, "delta": 1.0, "c2": 0.0}
     return element_arrays(
-        [FrictionElement.of({"tau_c": tau, "tau_s": tau, "c0": c0, "c1": c1, **law}) for tau, c0, c1 in values]
+        [
+            FrictionElement.of({"tau_c": tau, "tau_s": tau, "c0": c0, "c1": c1, **law})
+            for tau, c0, c1 in values
+        ]
     )
 
 
@@ -242,7 +266,11 @@ class Plant:
         torque = state["sensor"]["torque"][0] if sensed else state["motor_torque"][0]
         self._motor_states = state["motor_position"][0], state["motor_velocity"][0], torque
         self._joint_states = state["q"][0], state["v"][0], state["drive_torque"][0]
-        self._friction_states = state["z"][0], np.zeros(len(friction.names)), np.zeros(len(friction.names))
+        self._friction_states = (
+            state["z"][0],
+            np.zeros(len(friction.names)),
+            np.zeros(len(friction.names)),
+        )
         self._no_command = np.zeros(len(self.joint_names))
         self.temperatures = JointTemperatures(friction, state)
         self.reset(np.clip(self._no_command, self._lower, self._upper))
@@ -254,10 +282,16 @@ class Plant:
         """
         target = np.array(position, dtype=np.float64)
         if target.shape != self._lower.shape:
-            raise ConfigError(f"initial position has shape {target.shape}; accepted: {self._lower.shape}")
-        for name, value, low, high in zip(self.joint_names, target, self._lower, self._upper, strict=True):
+            raise ConfigError(
+                f"initial position has shape {target.shape}; accepted: {self._lower.shape}"
+            )
+        for name, value, low, high in zip(
+            self.joint_names, target, self._lower, self._upper, strict=True
+        ):
             if not low <= value <= high:
-                raise ConfigError(f"initial position of {name} is {value} rad; accepted: [{low:.4f}, {high:.4f}]")
+                raise ConfigError(
+                    f"initial position of {name} is {value} rad; accepted: [{low:.4f}, {high:.4f}]"
+                )
         plant_reset(self.constants, self.state, target)
         self.tick = 0
 
@@ -367,7 +401,9 @@ class JointTemperatures:
 
     def __init__(self, friction: FrictionSet, state: np.ndarray[Any, Any]) -> None:
         self._friction = friction
-        self.elements = tuple(i for i, element in enumerate(friction.elements) if element.temperature is not None)
+        self.elements = tuple(
+            i for i, element in enumerate(friction.elements) if element.temperature is not None
+        )
         self.now: Array = state["parts"]["temperature"]["temperature"][0]
 
     def beyond_law(self) -> str:
@@ -428,7 +464,13 @@ class JointInterface:
 
 @kernel
 def _to_joints(
-    plants: Record, of_motor: Array, speed: Array, torque: Array, position: Array, velocity: Array, effort: Array
+    plants: Record,
+    of_motor: Array,
+    speed: Array,
+    torque: Array,
+    position: Array,
+    velocity: Array,
+    effort: Array,
 ) -> None:
     to_joint(plants[0].gear, of_motor, position)
     to_joint(plants[0].gear, speed, velocity)

@@ -29,7 +29,13 @@ from rx90_sim.drives import (
     warm_windings,
     whole_steps,
 )
-from rx90_sim.elastic_gears import add_twists, elastic_reset, elastic_substep, hang_links, on_motor_side
+from rx90_sim.elastic_gears import (
+    add_twists,
+    elastic_reset,
+    elastic_substep,
+    hang_links,
+    on_motor_side,
+)
 from rx90_sim.joint_friction import (
     add_friction,
     add_stops,
@@ -165,7 +171,9 @@ def _worst_joint(plant: Any, state: Any) -> int:
 
 
 @kernel
-def friction_states(plants: Record, states: Record, velocity: NDArray[np.float64], torque: NDArray[np.float64]) -> None:
+def friction_states(
+    plants: Record, states: Record, velocity: NDArray[np.float64], torque: NDArray[np.float64]
+) -> None:
     """Write input velocity, rad/s, and friction torque, Nm, of the elements, shape (e,)."""
     plant = plants[0]
     state = states[0]

@@ -138,10 +138,21 @@ def plant_steps(
         braked: whether there are brakes and end stops.
     """
     rows = _rows(drives, friction, robot.max_velocity)
-    numbers = robot.lower, robot.upper, drives.rotor_inertia, drives.turning.turns, drives.turning.element_matrix
+    numbers = (
+        robot.lower,
+        robot.upper,
+        drives.rotor_inertia,
+        drives.turning.turns,
+        drives.turning.element_matrix,
+    )
     elastic = drives.elasticity.elastic.tobytes()
     link_friction = drives.elasticity.friction == LINK
-    gram = _compliance(arm.tobytes(), *(one.astype(np.float64).tobytes() for one in numbers), elastic, link_friction)
+    gram = _compliance(
+        arm.tobytes(),
+        *(one.astype(np.float64).tobytes() for one in numbers),
+        elastic,
+        link_friction,
+    )
     most = MAX_AUTOMATIC_STEPS if requested is None else requested
 
     def bear(steps: int) -> bool:
@@ -152,7 +163,9 @@ def plant_steps(
     needed = _first(bear)
     if needed is not None and needed <= most:
         return needed
-    loads = sorted(_loads(rows, gram, period / most, braked), key=lambda one: one.largest / one.most)
+    loads = sorted(
+        _loads(rows, gram, period / most, braked), key=lambda one: one.largest / one.most
+    )
     raise ConfigError(_refusal(rows, gram, loads, period / most, most, requested, needed))
 
 
@@ -191,11 +204,21 @@ def _rows(drives: DriveParameters, friction: FrictionSet, max_velocity: Array) -
         for name, by_c1 in zip(friction.names, c1 >= 0.5 * most, strict=True)
     ]
     for block in ("brake_", "stop_", "elasticity."):
-        names += [(f"drives.{block}stiffness[{i}]", f"drives.{block}damping[{i}]") for i in range(len(max_velocity))]
+        names += [
+            (f"drives.{block}stiffness[{i}]", f"drives.{block}damping[{i}]")
+            for i in range(len(max_velocity))
+        ]
     return _Rows(
         names,
         np.concatenate([np.where(c1 >= 0.5 * most, c1, most), others]),
-        np.concatenate([[e.c0 for e in friction.elements], drives.brake.stiffness, drives.end_stops.stiffness, gears]),
+        np.concatenate(
+            [
+                [e.c0 for e in friction.elements],
+                drives.brake.stiffness,
+                drives.end_stops.stiffness,
+                gears,
+            ]
+        ),
         np.concatenate([at_rest, others]),
         np.concatenate([most, others]),
         c1,
@@ -209,17 +232,23 @@ def _loads(rows: _Rows, gram: Array, step: float, braked: bool) -> Iterator[_Loa
     k = step * step * rows.stiffness
     d = step * rows.damping
     still = math.sqrt(8.0 * GROWTH * step)  # k whose undamped vibration grows by GROWTH
-    for part, most_k, most_d in ((slice(rows.elements), 0.05, 0.5), (slice(rows.held), 0.25, 0.8))[: 1 + braked]:
+    for part, most_k, most_d in ((slice(rows.elements), 0.05, 0.5), (slice(rows.held), 0.25, 0.8))[
+        : 1 + braked
+    ]:
         stiff = _load(k, part, gram, most_k, None)
         yield stiff
         yield _load(step * rows.most_damping, part, gram, most_d, 0.0)
-        cover = 3.2 / min(max(stiff.largest, 1e-100), most_k)  # up to this k the criterion lies above still + cover d
+        cover = 3.2 / min(
+            max(stiff.largest, 1e-100), most_k
+        )  # up to this k the criterion lies above still + cover d
         with np.errstate(over="ignore"):  # damping that another check refuses
             bare = k - cover * d
         yield _load(bare, part, gram, still, cover)
     strained = rows.ratios * step
     friction = slice(rows.elements)
-    yield _load(strained * step * rows.stiffness[friction], friction, gram, 0.5, None)._replace(weak=True)
+    yield _load(strained * step * rows.stiffness[friction], friction, gram, 0.5, None)._replace(
+        weak=True
+    )
     yield _load(strained * rows.bristle_damping, friction, gram, 1.0, 0.0)._replace(weak=True)
     yield _load(k - d / _GEAR_DAMPING, slice(rows.held, None), gram, 0.25, 1.0 / _GEAR_DAMPING)
 
@@ -282,7 +311,9 @@ def _compliance(
     w[e + 2 * n :, n:] = np.eye(n)[:, soft]
     largest = np.zeros((len(w), len(w)))
     # 128 points that fill a cube evenly: multiples of powers of a root, modulo 1 (Kronecker's sequence).
-    shares = (0.5 + np.arange(1.0, 129.0)[:, None] * _ROOTS[n - 1] ** -np.arange(1.0, n + 1.0)) % 1.0
+    shares = (
+        0.5 + np.arange(1.0, 129.0)[:, None] * _ROOTS[n - 1] ** -np.arange(1.0, n + 1.0)
+    ) % 1.0
     arms = np.frombuffer(arm, manipulator_dtype(n))
     bodies = np.zeros(1, body_dtype(n))
     _raise_to_largest(arms, bodies, low + shares * (high - low), whole, w, largest)
@@ -290,7 +321,9 @@ def _compliance(
 
 
 @kernel
-def _raise_to_largest(arms: Record, bodies: Record, poses: Array, whole: Array, w: Array, largest: Array) -> None:
+def _raise_to_largest(
+    arms: Record, bodies: Record, poses: Array, whole: Array, w: Array, largest: Array
+) -> None:
     """Raise `largest` to the entries of W M^-1 W^T, by size; M's block of the joints in `whole` is overwritten."""
     rows, size = w.shape
     n = poses.shape[1]
@@ -322,7 +355,13 @@ def _raise_to_largest(arms: Record, bodies: Record, poses: Array, whole: Array, 
 
 
 def _refusal(
-    rows: _Rows, gram: Array, loads: Sequence[_Load], step: float, most: int, requested: int | None, needed: int | None
+    rows: _Rows,
+    gram: Array,
+    loads: Sequence[_Load],
+    step: float,
+    most: int,
+    requested: int | None,
+    needed: int | None,
 ) -> str:
     """Return the message for a need of more than `most` steps in a tick: the worst load and accepted values.
 
@@ -341,10 +380,13 @@ def _refusal(
     if load.weak and rows.ratios[row] > over:
         accepted.append(f"torques up to about {rows.ratios[row] / over:.3g} times apart")
     if load.cover and loads[-2].largest <= loads[-2].most:
-        accepted.append(f"{rows.names[row][1]} from about {rows.stiffness[row] * step / load.cover:.3g}")
+        accepted.append(
+            f"{rows.names[row][1]} from about {rows.stiffness[row] * step / load.cover:.3g}"
+        )
     if needed is not None:
         accepted.append(
-            f"substeps {needed}" + (f", more than the {most} used without asking" if requested is None else "")
+            f"substeps {needed}"
+            + (f", more than the {most} used without asking" if requested is None else "")
         )
     limits = dict[str, float]()
     for each in loads:

@@ -34,8 +34,12 @@ _Vector = NDArray[np.float64]
 def rod(start: _Vector, end: _Vector, radius: float, color: _Vector) -> Solid:
     """Return a thin cylinder between two points, m."""
     length = float(np.linalg.norm(end - start))
-    rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end - start).toRotationMatrix()
-    return Solid("Cylinder", np.array([radius, radius, 0.5 * length]), rotation, 0.5 * (start + end), color)
+    rotation = pin.Quaternion.FromTwoVectors(
+        np.array([0.0, 0.0, 1.0]), end - start
+    ).toRotationMatrix()
+    return Solid(
+        "Cylinder", np.array([radius, radius, 0.5 * length]), rotation, 0.5 * (start + end), color
+    )
 
 
 def frame(setup: rx.Setup, task: rx.LineTask, position: tuple[float, ...]) -> NDArray[np.uint8]:
@@ -45,7 +49,11 @@ def frame(setup: rx.Setup, task: rx.LineTask, position: tuple[float, ...]) -> ND
     pin.framesForwardKinematics(model, data, np.array(position))
     tool, spot = (data.oMf[model.getFrameId(name)].translation for name in ("flange", "tcp"))
     start, end = np.array(task.start), np.array(task.end)
-    shown = [*solids(setup.robot, position), rod(start, end, _THIN, _GREY), rod(tool, spot, _THIN, _RED)]
+    shown = [
+        *solids(setup.robot, position),
+        rod(start, end, _THIN, _GREY),
+        rod(tool, spot, _THIN, _RED),
+    ]
     if (spot - start) @ (end - start) > 0.0:
         shown.append(rod(start, spot, _THICK, _RED))
     center = np.array([0.3, 0.0, 0.45])
@@ -64,7 +72,10 @@ def frames(robot: str) -> list[Image.Image]:
         picture = Image.fromarray(frame(setup, task, tuple(joints.position[sample])))
         error = float(np.interp(time, path.times, path.perpendicular, left=0.0, right=0.0))
         ImageDraw.Draw(picture).text(
-            (12, 10), f"{time:3.1f} s    off the line: {error * 1e3:.3f} mm", font=font, fill=(60, 60, 60)
+            (12, 10),
+            f"{time:3.1f} s    off the line: {error * 1e3:.3f} mm",
+            font=font,
+            fill=(60, 60, 60),
         )
         pictures.append(picture)
     return pictures
@@ -73,7 +84,9 @@ def frames(robot: str) -> list[Image.Image]:
 def main() -> None:
     """Draw and save."""
     parser = argparse.ArgumentParser(description="Draw an arm along its reference line, animated.")
-    parser.add_argument("--robot", default=DEFAULT_ROBOT, help="name of a shipped robot, or a robot folder")
+    parser.add_argument(
+        "--robot", default=DEFAULT_ROBOT, help="name of a shipped robot, or a robot folder"
+    )
     parser.add_argument("--output", type=Path, default=PICTURE, help="WebP file")
     options = parser.parse_args()
     try:

@@ -28,7 +28,9 @@ _POSES = (
 )
 _AZIMUTHS = (35.0, 90.0, -40.0, 30.0)  # of the eye about z, deg
 _ELEVATION = 14.0  # deg
-_LIGHT = np.array([0.35, -0.5, 0.8]) / np.linalg.norm([0.35, -0.5, 0.8])  # right, away, up, as the eye sees it
+_LIGHT = np.array([0.35, -0.5, 0.8]) / np.linalg.norm(
+    [0.35, -0.5, 0.8]
+)  # right, away, up, as the eye sees it
 _SAMPLES = 3  # along each side of a pixel
 _LENGTH = 400  # of the arm, in pixels
 
@@ -82,7 +84,11 @@ def _slabs(
     start: _Vectors, along: _Vectors, half: _Vectors, axes: tuple[int, ...]
 ) -> tuple[_Vectors, _Vectors, _Vectors]:
     """Return where rays enter and leave the space between pairs of planes, and the normal where they enter."""
-    near, far, normal = np.full(len(start), -np.inf), np.full(len(start), np.inf), np.zeros_like(start)
+    near, far, normal = (
+        np.full(len(start), -np.inf),
+        np.full(len(start), np.inf),
+        np.zeros_like(start),
+    )
     for axis in axes:
         speed = along[axis] if abs(along[axis]) > 1e-12 else 1e-12
         enter = (-np.sign(speed) * half[axis] - start[:, axis]) / speed
@@ -109,7 +115,9 @@ def _round(
     return near, np.where(root > 0.0, -middle + reach, -np.inf), normal
 
 
-def view(shown: list[Solid], azimuth: float, center: _Vectors, size: tuple[float, float], pixels: int) -> _Vectors:
+def view(
+    shown: list[Solid], azimuth: float, center: _Vectors, size: tuple[float, float], pixels: int
+) -> _Vectors:
     """Return a picture, (rows, columns, 3) from 0 to 1, on white, seen along parallel rays.
 
     Args:
@@ -127,12 +135,18 @@ def view(shown: list[Solid], azimuth: float, center: _Vectors, size: tuple[float
     columns, rows = (_SAMPLES * round(extent * pixels) for extent in size)
     across = (np.arange(columns) + 0.5) / (pixels * _SAMPLES) - size[0] / 2.0
     upward = size[1] / 2.0 - (np.arange(rows) + 0.5) / (pixels * _SAMPLES)
-    origins = (across[None, :, None] * right + upward[:, None, None] * up).reshape(-1, 3) + center + 5.0 * toward
+    origins = (
+        (across[None, :, None] * right + upward[:, None, None] * up).reshape(-1, 3)
+        + center
+        + 5.0 * toward
+    )
     nearest, color = np.full(len(origins), np.inf), np.ones((len(origins), 3))
     for solid in shown:
         offset = solid.position - center
         reach = float(np.linalg.norm(solid.half))
-        window = (abs(across - offset @ right) < reach)[None, :] & (abs(upward - offset @ up) < reach)[:, None]
+        window = (abs(across - offset @ right) < reach)[None, :] & (
+            abs(upward - offset @ up) < reach
+        )[:, None]
         seen = np.flatnonzero(window.ravel())
         depth, normal = cast(solid, origins[seen], -toward)
         ahead = depth < nearest[seen]
@@ -140,7 +154,9 @@ def view(shown: list[Solid], azimuth: float, center: _Vectors, size: tuple[float
         nearest[seen] = depth
         brightness = 0.42 + 0.58 * np.clip(normal @ light, 0.0, 1.0)
         color[seen] = brightness[:, None] * solid.color
-    picture = color.reshape(rows // _SAMPLES, _SAMPLES, columns // _SAMPLES, _SAMPLES, 3).mean(axis=(1, 3))
+    picture = color.reshape(rows // _SAMPLES, _SAMPLES, columns // _SAMPLES, _SAMPLES, 3).mean(
+        axis=(1, 3)
+    )
     return np.asarray(picture)
 
 
@@ -159,7 +175,9 @@ def arm_picture(robot: RobotModel, pixels: int) -> _Vectors:
     ]
     margin = np.ones((views[0].shape[0], pixels // 10, 3))
     used = [picture[:, (picture < 1.0).any(axis=(0, 2))] for picture in views]
-    together = np.concatenate([part for picture in used for part in (margin, picture)] + [margin], axis=1)
+    together = np.concatenate(
+        [part for picture in used for part in (margin, picture)] + [margin], axis=1
+    )
     rows = np.flatnonzero((together < 1.0).any(axis=(1, 2)))
     return np.pad(together[rows[0] : rows[-1] + 1], ((8, 8), (0, 0), (0, 0)), constant_values=1.0)
 
@@ -167,7 +185,9 @@ def arm_picture(robot: RobotModel, pixels: int) -> _Vectors:
 def main() -> None:
     """Draw and save."""
     parser = argparse.ArgumentParser(description="Draw an arm in some poses.")
-    parser.add_argument("--robot", default=DEFAULT_ROBOT, help="name of a shipped robot, or a robot folder")
+    parser.add_argument(
+        "--robot", default=DEFAULT_ROBOT, help="name of a shipped robot, or a robot folder"
+    )
     parser.add_argument("--output", type=Path, default=PICTURE, help="PNG file")
     options = parser.parse_args()
     import matplotlib.image

@@ -18,7 +18,16 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_controller.law.cs7b import CS7B, DriveFault
 from rx90_controller.node.servo_loop import ServoLoop
-from rx90_controller.servo.events import Begin, Cancel, Fault, GiveUp, LawChange, Offer, Streamed, TorqueSwitch
+from rx90_controller.servo.events import (
+    Begin,
+    Cancel,
+    Fault,
+    GiveUp,
+    LawChange,
+    Offer,
+    Streamed,
+    TorqueSwitch,
+)
 from rx90_controller.servo.servo import MotorStates, Outputs
 from rx90_controller.servo.states import Releasing, ServoState
 from rx90_controller.trajectory import TrajectoryPoints
@@ -147,7 +156,10 @@ EVENTS: Mapping[str, Callable[[Bench], None]] = {
 
 def answers(cs7b: CS7B) -> dict[str, dict[str, str]]:
     """Return the answer to each event in each state, as in the table, by event and state."""
-    return {event: {state: answer(Bench(cs7b), state, event) for state in SITUATIONS} for event in EVENTS}
+    return {
+        event: {state: answer(Bench(cs7b), state, event) for state in SITUATIONS}
+        for event in EVENTS
+    }
 
 
 def answer(bench: Bench, state: str, event: str) -> str:
@@ -188,7 +200,11 @@ def table(found: Mapping[str, Mapping[str, str]]) -> str:
         events_of: dict[str, list[str]] = {}
         for event in found:
             events_of.setdefault(found[event][state], []).append(event)
-        effects = [f"{', '.join(names)}: {then}" for then, names in events_of.items() if then not in {"-", unchanged}]
+        effects = [
+            f"{', '.join(names)}: {then}"
+            for then, names in events_of.items()
+            if then not in {"-", unchanged}
+        ]
         rows += f"| **{state}** | {'<br>'.join(effects)} |\n"
     return rows
 

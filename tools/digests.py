@@ -40,26 +40,45 @@ def digests() -> dict[str, str]:
     setup, task = rx.load_setup(), rx.load_task()
     plan = plan_line(setup.robot, task)
     turning = replace(
-        task, end_rpy=(0.3, 2.9, -0.4), branch=Branch("front", "positive", "negative"), end=(0.6, -0.1, 0.3)
+        task,
+        end_rpy=(0.3, 2.9, -0.4),
+        branch=Branch("front", "positive", "negative"),
+        end=(0.6, -0.1, 0.3),
     )
     times = np.arange(0.0, plan.duration, 1e-3)
     start = plan.position[:2]
-    exponents = {"friction.*.delta": 1.3, "friction.joint_2.delta": 0.7, "friction.joint_3.delta": 2.0}
+    exponents = {
+        "friction.*.delta": 1.3,
+        "friction.joint_2.delta": 0.7,
+        "friction.joint_3.delta": 2.0,
+    }
     other = rx.with_parameters(setup, exponents)
     short = replace(task, end=(0.6, -0.29, 0.2), rest_before=0.1, rest_after=0.1)
-    viscous = {"friction.*.alpha": 0.7, "friction.joint_1.alpha": 1.0, "controller.viscous_exponent[*]": 0.6}
+    viscous = {
+        "friction.*.alpha": 0.7,
+        "friction.joint_1.alpha": 1.0,
+        "controller.viscous_exponent[*]": 0.6,
+    }
     return {
         "rigid chain": _digest(setup.robot.chain),
         "plant constants": _digest(_constants(setup.plant().constants)),
         "controller constants": _digest(_constants(setup.cs7b().law)),
         "reference line": _plan_digest(plan),
         "line with a turning tool": _plan_digest(plan_line(setup.robot, turning)),
-        "line of an arm without a closed form": _plan_digest(plan_line(_aside(), replace(task, end=(0.6, -0.28, 0.2)))),
+        "line of an arm without a closed form": _plan_digest(
+            plan_line(_aside(), replace(task, end=(0.6, -0.28, 0.2)))
+        ),
         "set-points of the reference line": _digest([plan.setpoints(times)]),
-        "set-points of a cubic": _digest([interpolate(times[:2] + 0.1, start, plan.velocity[:2], None).coefficients]),
-        "closed loop on the reference line": _run_digest(rx.run_line(setup, task, record_fast=True)),
+        "set-points of a cubic": _digest(
+            [interpolate(times[:2] + 0.1, start, plan.velocity[:2], None).coefficients]
+        ),
+        "closed loop on the reference line": _run_digest(
+            rx.run_line(setup, task, record_fast=True)
+        ),
         "closed loop with other Stribeck exponents": _run_digest(rx.run_line(other, short)),
-        "closed loop with viscous exponents": _run_digest(rx.run_line(rx.with_parameters(setup, viscous), short)),
+        "closed loop with viscous exponents": _run_digest(
+            rx.run_line(rx.with_parameters(setup, viscous), short)
+        ),
     }
 
 
@@ -70,7 +89,9 @@ def _aside() -> RobotModel:
     old = '<origin xyz="0 0 0.085"/>\n    <parent link="link_5"/>'
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "aside.urdf"
-        file.write_text(text.replace(old, old.replace("0 0 0.085", "0.03 0.01 0.085")), encoding="utf-8")
+        file.write_text(
+            text.replace(old, old.replace("0 0 0.085", "0.03 0.01 0.085")), encoding="utf-8"
+        )
         robot = load_robot(file, files.tool)
     if SphericalWristArm.from_chain(robot.chain) is not None:
         raise ValueError(f"{files.urdf}: the origin of joint 6 is not where it is looked for")
@@ -115,16 +136,22 @@ def committed() -> dict[str, str]:
 
 def main() -> int:
     """Print the digests, and which of them differ."""
-    parser = argparse.ArgumentParser(description="Compare the digests of the numbers that are the same everywhere.")
+    parser = argparse.ArgumentParser(
+        description="Compare the digests of the numbers that are the same everywhere."
+    )
     parser.add_argument("--write", action="store_true", help="replace the committed digests")
     options = parser.parse_args()
     found = digests()
     if options.write:
-        FILE.write_text("".join(f"{digest}  {name}\n" for name, digest in found.items()), encoding="utf-8")
+        FILE.write_text(
+            "".join(f"{digest}  {name}\n" for name, digest in found.items()), encoding="utf-8"
+        )
     expected = committed()
     for name, digest in found.items():
         print(f"{digest[:16]}  {'same   ' if expected.get(name) == digest else 'DIFFERS'}  {name}")
-    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "numba", "llvmlite", "pin"))
+    packages = ", ".join(
+        f"{name} {version(name)}" for name in ("numpy", "scipy", "numba", "llvmlite", "pin")
+    )
     print(f"Python {platform.python_version()}, {packages}")
     return int(found != expected)
 

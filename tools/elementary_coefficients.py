@@ -70,9 +70,17 @@ def remainders() -> list[Remainder]:
         return Decimal((-1) ** (k + 1)) / (2 * k + 3)
 
     return [
-        Remainder("_E", 10, lambda k: Decimal(1) / factorial(k + 2), (-half_ln2, half_ln2), lambda r: r * r / r.exp()),
+        Remainder(
+            "_E",
+            10,
+            lambda k: Decimal(1) / factorial(k + 2),
+            (-half_ln2, half_ln2),
+            lambda r: r * r / r.exp(),
+        ),
         Remainder("_S", 6, sine, squares, lambda x: x / (1 + x * series(sine, x))),
-        Remainder("_C", 6, cosine, squares, lambda x: x * x / (1 - x / 2 + x * x * series(cosine, x))),
+        Remainder(
+            "_C", 6, cosine, squares, lambda x: x * x / (1 - x / 2 + x * x * series(cosine, x))
+        ),
         Remainder("_L", 8, logarithm, logarithms, lambda x: x / (2 + x * series(logarithm, x))),
         Remainder("_A", 9, arc, tangents, lambda x: x / (1 + x * series(arc, x))),
     ]
@@ -101,7 +109,9 @@ def pi() -> Decimal:
 def arcs() -> list[Decimal]:
     """Return a, pi/2 - a, pi - a and pi/2 + a for a = 0, atan(1/2) and atan(1)."""
     bases = (Decimal(0), arc_tangent(2), pi() / 4)
-    return [angle for base in bases for angle in (base, pi() / 2 - base, pi() - base, pi() / 2 + base)]
+    return [
+        angle for base in bases for angle in (base, pi() / 2 - base, pi() - base, pi() / 2 + base)
+    ]
 
 
 def cosine_of(angle: Decimal) -> Decimal:
@@ -109,7 +119,9 @@ def cosine_of(angle: Decimal) -> Decimal:
     return series(lambda k: Decimal((-1) ** k) / factorial(2 * k), angle * angle)
 
 
-def interpolate(function: Callable[[Decimal], Decimal], interval: tuple[Decimal, Decimal], count: int) -> list[Decimal]:
+def interpolate(
+    function: Callable[[Decimal], Decimal], interval: tuple[Decimal, Decimal], count: int
+) -> list[Decimal]:
     """Return the coefficients of the polynomial that meets `function` at `count` Chebyshev nodes of `interval`."""
     lower, upper = interval
     zeros = [cosine_of(pi() * (2 * i + 1) / (2 * count)) for i in range(count)]
@@ -167,7 +179,11 @@ def main() -> None:
         values = coefficients(remainder)
         print(f"{remainder.name} = (", *(f"    {value}," for value in values), ")", sep="\n")
         errors.append(f"# {remainder.name}: {largest_error(remainder, values) * 2**53:.2f} x 2^-53")
-    print("\n# largest relative errors of the functions by those of the polynomials:", *errors, sep="\n")
+    print(
+        "\n# largest relative errors of the functions by those of the polynomials:",
+        *errors,
+        sep="\n",
+    )
 
 
 if __name__ == "__main__":

@@ -24,12 +24,19 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 # What `pip install -e .[...]` is asked for: to run the nodes, to test and measure them too, to build the site of the
 # documentation, or to test them with the versions of Ubuntu 24.04, which ROS 2 Jazzy runs on.
-EXTRAS = {"run": ("ros", "view"), "dev": ("ros", "dev"), "docs": ("ros", "docs"), "jazzy": ("ros", "test")}
+EXTRAS = {
+    "run": ("ros", "view"),
+    "dev": ("ros", "dev"),
+    "docs": ("ros", "docs"),
+    "jazzy": ("ros", "test"),
+}
 FOLDERS = {"run": ".venv", "dev": ".venv", "docs": ".venv", "jazzy": ".venv-jazzy"}
 CONSTRAINTS = {"jazzy": "tools/constraints-jazzy.txt"}
 _NEWEST_FOR = {"jazzy": (3, 12)}
 MINIMUM_GLIBC = (2, 28)
-_STEP = re.compile(r"^\s*(Collecting|Downloading|Using cached|Building|Preparing|Installing)\b([^(<>=~]*)")
+_STEP = re.compile(
+    r"^\s*(Collecting|Downloading|Using cached|Building|Preparing|Installing)\b([^(<>=~]*)"
+)
 
 
 class UnsuitableError(Exception):
@@ -43,15 +50,23 @@ def check_machine() -> None:
         UnsuitableError: naming what was found and what is accepted.
     """
     if platform.python_implementation() != "CPython":
-        raise UnsuitableError(f"{sys.executable} is {platform.python_implementation()}; accepted: CPython")
+        raise UnsuitableError(
+            f"{sys.executable} is {platform.python_implementation()}; accepted: CPython"
+        )
     if platform.system() != "Linux" or platform.machine() != "x86_64" or sys.maxsize < 2**32:
-        raise UnsuitableError(f"this is {platform.system()} on {platform.machine()}; accepted: 64-bit Linux on x86_64")
+        raise UnsuitableError(
+            f"this is {platform.system()} on {platform.machine()}; accepted: 64-bit Linux on x86_64"
+        )
     name, version = platform.libc_ver()
     if name != "glibc" or tuple(int(part) for part in version.split(".")[:2]) < MINIMUM_GLIBC:
-        raise UnsuitableError(f"the C library is {name or 'not glibc'} {version}; accepted: glibc >= 2.28")
+        raise UnsuitableError(
+            f"the C library is {name or 'not glibc'} {version}; accepted: glibc >= 2.28"
+        )
     if not all(importlib.util.find_spec(module) for module in ("venv", "ensurepip")):
         version = f"{sys.version_info[0]}.{sys.version_info[1]}"
-        raise UnsuitableError(f"{sys.executable} has no venv module; install it: python{version}-venv")
+        raise UnsuitableError(
+            f"{sys.executable} has no venv module; install it: python{version}-venv"
+        )
 
 
 def check_version(purpose: str) -> None:
@@ -64,7 +79,9 @@ def check_version(purpose: str) -> None:
     if sys.version_info[:2] > newest:
         found = f"{sys.version_info[0]}.{sys.version_info[1]}"
         accepted = f"{newest[0]}.{newest[1]}"
-        raise UnsuitableError(f"Python {found} is too new for the versions of {purpose}; accepted: 3.10 to {accepted}")
+        raise UnsuitableError(
+            f"Python {found} is too new for the versions of {purpose}; accepted: 3.10 to {accepted}"
+        )
 
 
 @contextlib.contextmanager
@@ -167,7 +184,11 @@ class Environment:
         settings = {**os.environ, "PIP_USER": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
         with self._log.open("w", encoding="utf-8") as stream:
             process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, env=settings
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=subprocess.STDOUT,
+                env=settings,
             )
             try:
                 _watch(process, self._log)
@@ -177,7 +198,9 @@ class Environment:
                 raise
         if process.returncode:
             errors = [line.strip() for line in _lines(self._log) if "error" in line.lower()]
-            raise UnsuitableError(f"{errors[-1] if errors else 'set-up failed'} (all of it in {self._log})")
+            raise UnsuitableError(
+                f"{errors[-1] if errors else 'set-up failed'} (all of it in {self._log})"
+            )
 
 
 def _lines(log: Path) -> list[str]:
@@ -215,7 +238,9 @@ def main() -> int:
         check_machine()
         check_version(args.purpose)
         folder = (args.folder or ROOT / FOLDERS[args.purpose]).absolute()
-        Environment(folder, constraints=CONSTRAINTS.get(args.purpose)).update(set(EXTRAS[args.purpose]))
+        Environment(folder, constraints=CONSTRAINTS.get(args.purpose)).update(
+            set(EXTRAS[args.purpose])
+        )
     except UnsuitableError as error:
         _say(str(error))
         return 1

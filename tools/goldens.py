@@ -38,9 +38,16 @@ HIDDEN_TAGS = {"script", "style", "svg", "template"}
 
 def _run(*words: str, cwd: Path | None = None) -> str:
     """Run a command of the suite and return its output; exit codes 0 and 1 are both results."""
-    environment = {**os.environ, "COLUMNS": "120", "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    environment = {
+        **os.environ,
+        "COLUMNS": "120",
+        "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONPATH": str(ROOT),
+    }
     command = [sys.executable, str(ROOT / "rx90_emulator" / "__main__.py"), *words]
-    done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=cwd, env=environment, capture_output=True, text=True, check=False
+    )
     if done.returncode > 1:
         raise SystemExit(f"{' '.join(words)}: exit code {done.returncode}: {done.stderr.strip()}")
     return f"{done.stdout}\nexit code {done.returncode}\n"
@@ -101,9 +108,14 @@ def _identified(*options: str, excitation: bool = False) -> Callable[[], Iterato
             _run("rx90", "experiment", kind, "engine", *options, "--output", "series", cwd=folder)
             robot = [word for word in options if word == "--robot" or word in ("rx90b", "tx40")]
             output = "identified" if excitation else "friction.yaml"
-            yield "terminal", _run("rx90", "identify", kind, "series", "--output", output, *robot, cwd=folder)
+            yield (
+                "terminal",
+                _run("rx90", "identify", kind, "series", "--output", output, *robot, cwd=folder),
+            )
             written = folder / output
-            for file in sorted(written.iterdir()) if excitation else (written, written.with_suffix(".html")):
+            for file in (
+                sorted(written.iterdir()) if excitation else (written, written.with_suffix(".html"))
+            ):
                 if file.suffix in (".yaml", ".urdf", ".csv", ".json"):
                     yield file.name, file.read_text(encoding="utf-8")
                 elif file.suffix == ".html":
@@ -162,8 +174,12 @@ def write(folder: Path, only: list[str]) -> None:
 
 def _plain(text: str) -> str:
     """Return a text without what is another in each run: hashes of bags, dates, scratch folders, times taken."""
-    text = re.sub(r"(?<![.\w])(?=\w*[a-f])[0-9a-f]{12,64}\b", "HASH", text)  # not the digits behind a point
-    text = re.sub(r"\b20\d\d-\d\d-\d\d(?:[T ]\d\d:\d\d(?::\d\d)?(?:Z|[+-]\d\d:\d\d| UTC)?)?", "DATE", text)
+    text = re.sub(
+        r"(?<![.\w])(?=\w*[a-f])[0-9a-f]{12,64}\b", "HASH", text
+    )  # not the digits behind a point
+    text = re.sub(
+        r"\b20\d\d-\d\d-\d\d(?:[T ]\d\d:\d\d(?::\d\d)?(?:Z|[+-]\d\d:\d\d| UTC)?)?", "DATE", text
+    )
     text = re.sub(r"/\S*/tmp\w+|/tmp/\w+", "SCRATCH", text)
     return re.sub(r"\b\d+(?:\.\d+)? s of computing", "TIME of computing", text)
 
@@ -176,7 +192,9 @@ def differences(before: Path, after: Path) -> Iterator[str]:
             yield f"{name}: only in {before if (before / name).is_file() else after}"
             continue
         tolerance = SOLVER_RELATIVE if "urdf" in name.name else RELATIVE
-        old, new = ((one / name).read_text(encoding="utf-8").splitlines() for one in (before, after))
+        old, new = (
+            (one / name).read_text(encoding="utf-8").splitlines() for one in (before, after)
+        )
         if name.parts[0] == "api":
             yield from (f"{name}: {line!r} is gone" for line in old if line not in new)
             continue
@@ -200,11 +218,15 @@ def _same(was: str, now: str, tolerance: float) -> bool:
 
 def main() -> int:
     """Write or compare goldens."""
-    parser = argparse.ArgumentParser(description="Write what users rely on as text, or compare two such folders.")
+    parser = argparse.ArgumentParser(
+        description="Write what users rely on as text, or compare two such folders."
+    )
     verbs = parser.add_subparsers(dest="verb", required=True)
     writing = verbs.add_parser("write", help="write the texts of this checkout into a folder")
     writing.add_argument("folder", type=Path)
-    writing.add_argument("--only", nargs="+", choices=list(PARTS), default=[], help="only these parts")
+    writing.add_argument(
+        "--only", nargs="+", choices=list(PARTS), default=[], help="only these parts"
+    )
     comparing = verbs.add_parser("compare", help="compare two folders; exit code 1 if they differ")
     comparing.add_argument("before", type=Path)
     comparing.add_argument("after", type=Path)

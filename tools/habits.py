@@ -92,12 +92,16 @@ def multiplies_by_truth(node: ast.AST) -> bool:
     if any(isinstance(side, ast.Call) and ast.unparse(side.func) == "bool" for side in sides):
         return True
     has_text = any(isinstance(side, ast.JoinedStr | ast.List) or _is_text(side) for side in sides)
-    return has_text and any(isinstance(side, ast.Compare | ast.BoolOp | ast.UnaryOp) for side in sides)
+    return has_text and any(
+        isinstance(side, ast.Compare | ast.BoolOp | ast.UnaryOp) for side in sides
+    )
 
 
 def builds_attribute_name(node: ast.AST) -> bool:
     """Return whether an attribute is read or set by a name that is put together from pieces."""
-    if not (isinstance(node, ast.Call) and ast.unparse(node.func) in ("getattr", "setattr", "hasattr")):
+    if not (
+        isinstance(node, ast.Call) and ast.unparse(node.func) in ("getattr", "setattr", "hasattr")
+    ):
         return False
     return len(node.args) > 1 and isinstance(node.args[1], ast.JoinedStr | ast.BinOp)
 
@@ -116,9 +120,13 @@ SYNTAX_HABITS = {
 
 def main() -> int:
     """Compare the counts with those written down."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--list", metavar="HABIT", help="print its places")
-    parser.add_argument("--write", action="store_true", help="write lower counts down; higher ones stay refused")
+    parser.add_argument(
+        "--write", action="store_true", help="write lower counts down; higher ones stay refused"
+    )
     options = parser.parse_args()
     places = find_habits()
     if options.list is not None:
@@ -131,13 +139,21 @@ def main() -> int:
     counts = {habit: len(found) for habit, found in places.items()}
     higher = [habit for habit, count in counts.items() if count > allowed.get(habit, count)]
     for habit in higher:
-        print(f"{habit}: {counts[habit]} places, {allowed[habit]} allowed; python -m tools.habits --list {habit!r}")
+        print(
+            f"{habit}: {counts[habit]} places, {allowed[habit]} allowed; python -m tools.habits --list {habit!r}"
+        )
     if options.write and not higher:
         COUNTS.write_text(json.dumps(counts, indent=2) + "\n", encoding="utf-8")
         return 0
-    lower = [habit for habit, count in counts.items() if count < allowed.get(habit, 0) or habit not in allowed]
+    lower = [
+        habit
+        for habit, count in counts.items()
+        if count < allowed.get(habit, 0) or habit not in allowed
+    ]
     for habit in lower:
-        print(f"{habit}: {counts[habit]} places, {allowed.get(habit, 'none')} written down; run with --write")
+        print(
+            f"{habit}: {counts[habit]} places, {allowed.get(habit, 'none')} written down; run with --write"
+        )
     return int(bool(higher or lower))
 
 

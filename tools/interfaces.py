@@ -29,13 +29,24 @@ PACKAGES = ("control_msgs", "controller_manager_msgs", "tf2_msgs")
 DEFINITIONS = ROOT / "interfaces"
 # The packages whose types the definitions use, and those that rosidl adds to services and actions.
 USED = (
-    *("action_msgs", "builtin_interfaces", "geometry_msgs", "lifecycle_msgs", "service_msgs", "std_msgs"),
+    *(
+        "action_msgs",
+        "builtin_interfaces",
+        "geometry_msgs",
+        "lifecycle_msgs",
+        "service_msgs",
+        "std_msgs",
+    ),
     *("trajectory_msgs", "unique_identifier_msgs"),
 )
 LIBRARIES = ("generator_c", "typesupport_fastrtps_c", "typesupport_introspection_c")
 MODULE = "typesupport_c"
 LOG = ROOT / "build" / "interfaces.log"
-_RUNTIME = (*(f"rosidl_{name}" for name in (*LIBRARIES[1:], MODULE, "runtime_c")), "rcutils", "fastcdr")
+_RUNTIME = (
+    *(f"rosidl_{name}" for name in (*LIBRARIES[1:], MODULE, "runtime_c")),
+    "rcutils",
+    "fastcdr",
+)
 _EMPY = "empy==3.3.4"
 
 
@@ -50,7 +61,9 @@ def main() -> int:
             if packages := unbuilt(site):  # not by another that held the lock
                 start = time.monotonic()
                 build(packages, site)
-                _say(f"{' and '.join(packages)} built into {site} in {time.monotonic() - start:.0f} s")
+                _say(
+                    f"{' and '.join(packages)} built into {site} in {time.monotonic() - start:.0f} s"
+                )
     except UnsuitableError as error:
         _say(f"{' and '.join(unbuilt(site))} not built, what needs them stays off: {error}")
         return 1
@@ -83,7 +96,9 @@ def inputs(package: str) -> str:
 def definitions(package: str) -> list[Path]:
     """Return the interface files of a package."""
     kinds = ("action", "msg", "srv")
-    return sorted(path for kind in kinds for path in (DEFINITIONS / package / kind).glob(f"*.{kind}"))
+    return sorted(
+        path for kind in kinds for path in (DEFINITIONS / package / kind).glob(f"*.{kind}")
+    )
 
 
 def build(packages: Sequence[str], site: Path) -> None:
@@ -101,7 +116,19 @@ def build(packages: Sequence[str], site: Path) -> None:
     _say(f"building {' and '.join(packages)} with {compiler[0]}")
     with tempfile.TemporaryDirectory(prefix="interfaces-", dir=ROOT / "build") as temporary:
         folder = Path(temporary)
-        _run([sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", str(folder / "empy"), _EMPY])
+        _run(
+            [
+                sys.executable,
+                "-m",
+                "pip",
+                "install",
+                "-q",
+                "--no-deps",
+                "--target",
+                str(folder / "empy"),
+                _EMPY,
+            ]
+        )
         sys.path.insert(0, str(folder / "empy"))
         # One redirection for all: empy puts itself between standard output and what it was at first.
         with LOG.open("w", encoding="utf-8") as log, contextlib.redirect_stdout(log):
@@ -111,7 +138,10 @@ def build(packages: Sequence[str], site: Path) -> None:
             _install(compile_package(package, folder / package, compiler), site / package)
             _register(package)
             kinds = sorted({path.parent.name for path in definitions(package)})
-            modules = [f"{package}.{package}_s__rosidl_{MODULE}", *(f"{package}.{kind}" for kind in kinds)]
+            modules = [
+                f"{package}.{package}_s__rosidl_{MODULE}",
+                *(f"{package}.{kind}" for kind in kinds),
+            ]
             _run([sys.executable, "-c", f"import {', '.join(modules)}"])
             _stamp(site / package).write_text(inputs(package), encoding="utf-8")
 
@@ -129,7 +159,9 @@ def find_compiler() -> list[str]:
     """
     command = shlex.split(os.environ.get("CXX", "")) or ["c++"]
     if shutil.which(command[0]) is None:
-        raise UnsuitableError(f"no C++ compiler ({command[0]}); accepted: for example sudo apt install g++")
+        raise UnsuitableError(
+            f"no C++ compiler ({command[0]}); accepted: for example sudo apt install g++"
+        )
     if not Path(sysconfig.get_path("include"), "Python.h").is_file():
         version = f"{sys.version_info[0]}.{sys.version_info[1]}"
         raise UnsuitableError(
@@ -151,7 +183,11 @@ def generate(package: str, sources: Path) -> None:
     from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport
     from rosidl_typesupport_introspection_c.cli import GenerateIntrospectionCTypesupport
 
-    convert = {".action": convert_action_to_idl, ".msg": convert_msg_to_idl, ".srv": convert_srv_to_idl}
+    convert = {
+        ".action": convert_action_to_idl,
+        ".msg": convert_msg_to_idl,
+        ".srv": convert_srv_to_idl,
+    }
     used = [str(Path(sys.prefix, "share", name)) for name in USED]
     folder, described = DEFINITIONS / package, sources / "idl" / package
     files = []
@@ -160,7 +196,9 @@ def generate(package: str, sources: Path) -> None:
         idl = convert[path.suffix](folder, package, own, described / own.parent)
         files.append(f"{described}:{idl.relative_to(described)}")
     hashes = HashTypeDescription("hash").generate_type_hashes(package, files, used, described)
-    GenerateC("c").generate(package, files, used, sources / "generator_c" / package, type_description_files=hashes)
+    GenerateC("c").generate(
+        package, files, used, sources / "generator_c" / package, type_description_files=hashes
+    )
     cdr = ["rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c"]
     for library, generator in (
         ("typesupport_fastrtps_c", GenerateFastRTPSCTypesupport("fastrtps_c")),
@@ -183,7 +221,13 @@ def compile_package(name: str, sources: Path, compiler: Sequence[str]) -> Path:
         library: [_one_unit(sources / library, "*.cpp"), *(sources / library).rglob("*.c")]
         for library in (*LIBRARIES, MODULE)
     }
-    command = [*compiler, "-c", "-fPIC", "-O1", *(f"-I{path}" for path in _include_folders(sources))]
+    command = [
+        *compiler,
+        "-c",
+        "-fPIC",
+        "-O1",
+        *(f"-I{path}" for path in _include_folders(sources)),
+    ]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         all_units = [unit for own in units.values() for unit in own]
         list(pool.map(lambda unit: _compile(command, unit), all_units))
@@ -192,12 +236,25 @@ def compile_package(name: str, sources: Path, compiler: Sequence[str]) -> Path:
     rpath = f"-Wl,-rpath,{':'.join(['$ORIGIN', *_origin_paths()])}"
     paths = ["-Wl,--disable-new-dtags", rpath, f"-L{folder}", f"-L{sys.prefix}/lib"]
     kinds = (*LIBRARIES, "generator_py", "typesupport_c")
-    wheels = [f"-l{used}__rosidl_{kind}" for used in USED for kind in kinds] + [f"-l{used}" for used in _RUNTIME]
+    wheels = [f"-l{used}__rosidl_{kind}" for used in USED for kind in kinds] + [
+        f"-l{used}" for used in _RUNTIME
+    ]
     linked: list[str] = []
     for library, own in units.items():
-        file = f"lib{name}__rosidl_{library}.so" if library != MODULE else f"{name}_s__rosidl_{MODULE}.so"
+        file = (
+            f"lib{name}__rosidl_{library}.so"
+            if library != MODULE
+            else f"{name}_s__rosidl_{MODULE}.so"
+        )
         objects = [f"{unit}.o" for unit in own]
-        options = [*paths, "-Wl,--no-as-needed", *linked, "-Wl,--as-needed", *wheels, f"-Wl,-soname,{file}"]
+        options = [
+            *paths,
+            "-Wl,--no-as-needed",
+            *linked,
+            "-Wl,--as-needed",
+            *wheels,
+            f"-Wl,-soname,{file}",
+        ]
         _run([*compiler, "-shared", "-s", *objects, *options, "-o", str(folder / file)])
         linked.append(f"-l:{file}")
     return folder
@@ -222,7 +279,13 @@ def _include_folders(sources: Path) -> list[str | Path]:
 
     wheels = Path(sys.prefix, "include")
     own = [sources / library for library in (*LIBRARIES, MODULE)]
-    return [*own, sysconfig.get_path("include"), np.get_include(), wheels, *sorted(wheels.iterdir())]
+    return [
+        *own,
+        sysconfig.get_path("include"),
+        np.get_include(),
+        wheels,
+        *sorted(wheels.iterdir()),
+    ]
 
 
 def _compile(command: list[str], unit: Path) -> None:

@@ -30,7 +30,9 @@ _MARGIN = 0.005  # m: what comes as near as that in a sample may touch between t
 ACCELERATION_SHARE = 0.5
 VELOCITY_SHARE = 0.95
 
-_HEAD = "Written by `python -m tools.moveit_files` from the other files of this folder: do not edit."
+_HEAD = (
+    "Written by `python -m tools.moveit_files` from the other files of this folder: do not edit."
+)
 
 
 def shape_links(robot: RobotModel) -> list[str]:
@@ -58,7 +60,9 @@ def _link(joint: ET.Element, end: str) -> str:
     return "" if element is None else element.get("link", "")
 
 
-def touching_pairs(robot: RobotModel, count: int = POSES, margin: float = _MARGIN) -> set[frozenset[str]]:
+def touching_pairs(
+    robot: RobotModel, count: int = POSES, margin: float = _MARGIN
+) -> set[frozenset[str]]:
     """Return the pairs of links that come nearer to each other than `margin`, m, in one of `count` random poses.
 
     In these each joint is at a limit as often as not: some pairs come near each other there alone.
@@ -68,7 +72,9 @@ def touching_pairs(robot: RobotModel, count: int = POSES, margin: float = _MARGI
         shapes = pin.buildGeomFromUrdfString(model, robot.urdf, pin.COLLISION)
     except (ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
-        raise ConfigError(f"the collision geometry: {reason}; accepted: shapes, and meshes that are there") from error
+        raise ConfigError(
+            f"the collision geometry: {reason}; accepted: shapes, and meshes that are there"
+        ) from error
     owners = [model.frames[shape.parentFrame].name for shape in shapes.geometryObjects]
     shapes.addAllCollisionPairs()
     for pair in list(shapes.collisionPairs):
@@ -81,10 +87,16 @@ def touching_pairs(robot: RobotModel, count: int = POSES, margin: float = _MARGI
     touching: set[frozenset[str]] = set()
     rng = np.random.default_rng(0)
     beyond = robot.upper - robot.lower
-    positions = rng.uniform(robot.lower - beyond / 2.0, robot.upper + beyond / 2.0, (count, len(beyond)))
+    positions = rng.uniform(
+        robot.lower - beyond / 2.0, robot.upper + beyond / 2.0, (count, len(beyond))
+    )
     for position in np.clip(positions, robot.lower, robot.upper):
         pin.computeCollisions(model, data, shapes, placed, position, False)
-        touching.update(pair for pair, found in zip(pairs, placed.collisionResults, strict=True) if found.isCollision())
+        touching.update(
+            pair
+            for pair, found in zip(pairs, placed.collisionResults, strict=True)
+            if found.isCollision()
+        )
     return touching
 
 
@@ -95,12 +107,16 @@ def semantic_text(setup: Setup, poses: Poses | None, touching: set[frozenset[str
     root.append(ET.Comment(f" {_HEAD} "))
     group = ET.SubElement(root, "group", name=GROUP)
     with_tool = setup.files is not None and setup.files.tool is not None
-    ET.SubElement(group, "chain", base_link=_base(robot), tip_link=TIP if with_tool else robot.tcp_frame)
+    ET.SubElement(
+        group, "chain", base_link=_base(robot), tip_link=TIP if with_tool else robot.tcp_frame
+    )
     if with_tool:
         held = ET.SubElement(root, "group", name=TOOL)
         for name in (TOOL, robot.tcp_frame):
             ET.SubElement(held, "link", name=name)
-        ET.SubElement(root, "end_effector", name=TOOL, parent_link=TIP, group=TOOL, parent_group=GROUP)
+        ET.SubElement(
+            root, "end_effector", name=TOOL, parent_link=TIP, group=TOOL, parent_group=GROUP
+        )
     if poses is not None:
         root.append(ET.Comment(" From poses.yaml, rad. "))
     for name, position in _named(poses):
@@ -133,14 +149,18 @@ def disabled_pairs(robot: RobotModel, touching: set[frozenset[str]]) -> list[tup
 def _base(robot: RobotModel) -> str:
     root = ET.fromstring(robot.urdf)
     children = {_link(joint, "child") for joint in root.findall("joint")}
-    return next(name for link in root.findall("link") if (name := link.get("name", "")) not in children)
+    return next(
+        name for link in root.findall("link") if (name := link.get("name", "")) not in children
+    )
 
 
 def _named(poses: Poses | None) -> list[tuple[str, tuple[float, ...]]]:
     if poses is None:
         return []
     sweeps = [(f"sweep_{i}", position) for i, position in enumerate(poses.sweeps.positions, 1)]
-    others = [(f"validation_{i}", position) for i, position in enumerate(poses.validation.positions, 1)]
+    others = [
+        (f"validation_{i}", position) for i, position in enumerate(poses.validation.positions, 1)
+    ]
     return [("home", poses.home.position), *sweeps, *others]
 
 
@@ -154,7 +174,9 @@ def limits_text(setup: Setup, said: str) -> str:
         "joint_limits:",
     ]
     robot, most = setup.robot, setup.controller.max_acceleration
-    for joint, velocity, acceleration in zip(robot.joint_names, robot.max_velocity, most, strict=True):
+    for joint, velocity, acceleration in zip(
+        robot.joint_names, robot.max_velocity, most, strict=True
+    ):
         lines += [
             f"  {joint}:",
             "    has_velocity_limits: true",
@@ -170,7 +192,9 @@ def _down(value: float) -> float:
     return float(np.floor(value * 1e4) / 1e4)
 
 
-def moveit_texts(setup: Setup, poses: Poses | None, touching: set[frozenset[str]]) -> dict[str, str]:
+def moveit_texts(
+    setup: Setup, poses: Poses | None, touching: set[frozenset[str]]
+) -> dict[str, str]:
     """Return the text of each file by its name; `touching` are the pairs of links that are to be checked."""
     assert setup.files is not None
     controller = yaml.safe_load(setup.files.controller.read_text(encoding="utf-8"))
@@ -182,8 +206,12 @@ def moveit_texts(setup: Setup, poses: Poses | None, touching: set[frozenset[str]
 
 def main() -> None:
     """Write the files."""
-    parser = argparse.ArgumentParser(description="Write robot.srdf and joint_limits.yaml for MoveIt.")
-    parser.add_argument("robots", nargs="*", default=shipped_robots(), help="shipped robots or robot folders")
+    parser = argparse.ArgumentParser(
+        description="Write robot.srdf and joint_limits.yaml for MoveIt."
+    )
+    parser.add_argument(
+        "robots", nargs="*", default=shipped_robots(), help="shipped robots or robot folders"
+    )
     try:
         for name in parser.parse_args().robots:
             write(RobotFiles.named(name))

@@ -20,7 +20,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 PAGE = Path(__file__).resolve().parent.parent / "docs/reference/parameters.md"
-_PLACE = re.compile(r"(<!-- (parameters of (\w+)|quality of service) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+_PLACE = re.compile(
+    r"(<!-- (parameters of (\w+)|quality of service) -->\n)(.*?)(<!-- end -->)", re.DOTALL
+)
 _QOS = "qos_overrides."
 _POLICIES = ("depth", "reliability", "durability")
 _JOINT = re.compile(r"\bjoint_[1-6]\b")
@@ -130,12 +132,19 @@ def _parameter_table(node: NodeReference, before: list[str]) -> str:
 def _qos_table(nodes: Sequence[NodeReference]) -> str:
     rows = ["| node | topics | depth, reliability, durability |", "|---|---|---|"]
     for node in nodes:
-        values = {each.name.removeprefix(_QOS): each.default for each in node.parameters if each.name.startswith(_QOS)}
+        values = {
+            each.name.removeprefix(_QOS): each.default
+            for each in node.parameters
+            if each.name.startswith(_QOS)
+        }
         topics_of: dict[str, list[str]] = {}
         for topic in dict.fromkeys(name.rpartition(".")[0] for name in values):
             chosen = ", ".join(str(values[f"{topic}.{policy}"]) for policy in _POLICIES)
             topics_of.setdefault(chosen, []).append(f"`{topic}`")
-        rows += [f"| `{node.name}` | {', '.join(topics)} | {chosen} |" for chosen, topics in topics_of.items()]
+        rows += [
+            f"| `{node.name}` | {', '.join(topics)} | {chosen} |"
+            for chosen, topics in topics_of.items()
+        ]
     return "\n".join(rows)
 
 
@@ -159,8 +168,12 @@ def from_json(text: str) -> list[NodeReference]:
 
 def main() -> int:
     """Write or print."""
-    parser = argparse.ArgumentParser(description="Write the tables of parameters in docs/ from running nodes.")
-    parser.add_argument("--json", action="store_true", help="print what the nodes have, and write nothing")
+    parser = argparse.ArgumentParser(
+        description="Write the tables of parameters in docs/ from running nodes."
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print what the nodes have, and write nothing"
+    )
     options = parser.parse_args()
     nodes = describe_nodes()
     if options.json:

@@ -71,10 +71,19 @@ def _has_python_headers() -> bool:
 NEEDS = {
     "make": Need("make", ("make",), "all of them", _any_of("make")),
     "venv": Need("Python's venv", (f"{_PYTHON}-venv",), "all of them", _has_venv),
-    "native": Need("a C compiler", ("gcc", "libc6-dev"), "the rig's firmware, lossy networks", _any_of("cc")),
+    "native": Need(
+        "a C compiler", ("gcc", "libc6-dev"), "the rig's firmware, lossy networks", _any_of("cc")
+    ),
     "mcs51": Need("sdcc", ("sdcc",), "the rig's firmware on the 8051", _any_of("sdcc")),
-    "ucsim": Need("uCsim", ("sdcc-ucsim",), "the rig's firmware on the 8051", _any_of("s51", "ucsim_51")),
-    "avr": Need("avr-gcc", ("gcc-avr", "avr-libc"), "the rig's firmware on the ATmega328P", _has_avr_compiler),
+    "ucsim": Need(
+        "uCsim", ("sdcc-ucsim",), "the rig's firmware on the 8051", _any_of("s51", "ucsim_51")
+    ),
+    "avr": Need(
+        "avr-gcc",
+        ("gcc-avr", "avr-libc"),
+        "the rig's firmware on the ATmega328P",
+        _has_avr_compiler,
+    ),
     "simavr": Need(
         "simavr",
         ("libsimavr-dev",),
@@ -88,7 +97,9 @@ NEEDS = {
         _any_of(*CHROMIUM_NAMES),
         "; on Ubuntu, where that is a snap, which does not see files in /tmp: Google Chrome's .deb",
     ),
-    "c++": Need("a C++ compiler", ("g++",), "the action, controller_manager's services, /tf", _any_of("c++")),
+    "c++": Need(
+        "a C++ compiler", ("g++",), "the action, controller_manager's services, /tf", _any_of("c++")
+    ),
     "headers": Need(
         "Python's headers",
         (f"lib{_PYTHON}-dev",),
@@ -122,12 +133,30 @@ def install(needs: Sequence[Need]) -> None:
 
 def _apt_get(prefix: Sequence[str], *arguments: str) -> bool:
     # By env: sudo does not hand variables on. Without a network it shall not wait for minutes.
-    patience = ("-o", "Acquire::Retries=0", "-o", "Acquire::http::Timeout=20", "-o", "Acquire::https::Timeout=20")
-    command = [*prefix, "/usr/bin/env", "DEBIAN_FRONTEND=noninteractive", "apt-get", *arguments, *patience]
-    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    patience = (
+        "-o",
+        "Acquire::Retries=0",
+        "-o",
+        "Acquire::http::Timeout=20",
+        "-o",
+        "Acquire::https::Timeout=20",
+    )
+    command = [
+        *prefix,
+        "/usr/bin/env",
+        "DEBIAN_FRONTEND=noninteractive",
+        "apt-get",
+        *arguments,
+        *patience,
+    ]
+    done = subprocess.run(
+        command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
+    )
     if done.returncode:
         errors = [line for line in done.stderr.splitlines() if line.strip()]
-        _say(f"apt-get {arguments[0]} ended with {done.returncode}: {errors[-1] if errors else 'without a word'}")
+        _say(
+            f"apt-get {arguments[0]} ended with {done.returncode}: {errors[-1] if errors else 'without a word'}"
+        )
     return done.returncode == 0
 
 
@@ -137,7 +166,9 @@ def _root() -> list[str] | None:
         return []
     if shutil.which("sudo") is None:
         return None
-    allowed = subprocess.run(["sudo", "-n", "true"], capture_output=True, check=False).returncode == 0
+    allowed = (
+        subprocess.run(["sudo", "-n", "true"], capture_output=True, check=False).returncode == 0
+    )
     return ["sudo", "-n"] if allowed else None
 
 
@@ -147,8 +178,12 @@ def _say(text: str) -> None:
 
 def main() -> int:
     """Install what is missing; say in one line each what stays so."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--required", action="store_true", help="end with 1 where something stays missing")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--required", action="store_true", help="end with 1 where something stays missing"
+    )
     options = parser.parse_args()
     needs = missing()
     if not needs:

@@ -37,9 +37,15 @@ def main() -> None:
     options = parser.parse_args()
     browser = next(filter(None, map(shutil.which, _BROWSERS)), None)
     if browser is None:
-        parser.exit(3, f"report_picture: none of {', '.join(_BROWSERS)} on the path; accepted: one of them\n")
+        parser.exit(
+            3,
+            f"report_picture: none of {', '.join(_BROWSERS)} on the path; accepted: one of them\n",
+        )
     if not options.report.is_file():
-        parser.exit(2, f"report_picture: {options.report}: no such file; accepted: the report of rx90 demo\n")
+        parser.exit(
+            2,
+            f"report_picture: {options.report}: no such file; accepted: the report of rx90 demo\n",
+        )
     take(options.report, options.output, browser)
     print(options.output)
 

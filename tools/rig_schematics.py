@@ -17,18 +17,34 @@ _PITCH = 0.62  # of an IC's pins
 
 
 def _chip(
-    drawing: schemdraw.Drawing, at: tuple[float, float], title: str, left: str, right: str, width: float = 4.2
+    drawing: schemdraw.Drawing,
+    at: tuple[float, float],
+    title: str,
+    left: str,
+    right: str,
+    width: float = 4.2,
 ) -> None:
     """Draw an IC with named nets at its pins; a pin is `number name net`, pins are separated by commas, top first."""
     sides = [[pin.split() for pin in side.split(",")] for side in (left, right)]
     pins = [
-        elm.IcPin(name=pin[1], pin=pin[0].strip("-"), side=side, slot=f"{rows - row}/{rows}", anchorname=f"{side}{row}")
-        for side, rows, column in (("left", max(map(len, sides)), sides[0]), ("right", max(map(len, sides)), sides[1]))
+        elm.IcPin(
+            name=pin[1],
+            pin=pin[0].strip("-"),
+            side=side,
+            slot=f"{rows - row}/{rows}",
+            anchorname=f"{side}{row}",
+        )
+        for side, rows, column in (
+            ("left", max(map(len, sides)), sides[0]),
+            ("right", max(map(len, sides)), sides[1]),
+        )
         for row, pin in enumerate(column)
     ]
     size = (width, _PITCH * (max(map(len, sides)) + 1))
     chip = drawing.add(
-        elm.Ic(pins=pins, size=size, pinspacing=_PITCH, leadlen=0.6, lsize=10, plblsize=8).at(at).label(title, "top")
+        elm.Ic(pins=pins, size=size, pinspacing=_PITCH, leadlen=0.6, lsize=10, plblsize=8)
+        .at(at)
+        .label(title, "top")
     )
     for side, column in zip(("left", "right"), sides, strict=True):
         for row, pin in enumerate(column):
@@ -69,9 +85,20 @@ def processor(drawing: schemdraw.Drawing) -> None:
         "8 AGND GND,10 DGND GND,9 VREF/2 VHALF,20 VCC +5V",
         "18 DB0 A0 (P2.0),17 DB1 A1,16 DB2 A2,15 DB3 A3,14 DB4 A4,13 DB5 A5,12 DB6 A6,11 DB7 A7 (P2.7)",
     )  # fmt: skip
-    _chip(drawing, (0, -4.2), "U5 MAX232", "11 T1IN TXD,12 R1OUT RXD", "14 T1OUT DE-9 pin 2,13 R1IN DE-9 pin 3", 3.4)
+    _chip(
+        drawing,
+        (0, -4.2),
+        "U5 MAX232",
+        "11 T1IN TXD,12 R1OUT RXD",
+        "14 T1OUT DE-9 pin 2,13 R1IN DE-9 pin 3",
+        3.4,
+    )
     _chip(drawing, (0, -7.4), "U6 74HC14", "1 1A encoder A + 4.7k to +5V", "2 1Y INT0", 3.4)
-    drawing.add(elm.Label().at((-3.5, -8.9)).label("Start-up of U3: GO is pulled low once", "right", fontsize=10))
+    drawing.add(
+        elm.Label()
+        .at((-3.5, -8.9))
+        .label("Start-up of U3: GO is pulled low once", "right", fontsize=10)
+    )
     gate = drawing.add(elm.Capacitor().at((-3.2, -10.6)).right().length(2.2).label("1 µF", "top"))
     drawing.add(elm.Label().at(gate.start).label("+5V", "left", fontsize=9))
     drawing.add(elm.Resistor().at(gate.end).down().length(1.8).label("100k", "bottom"))
@@ -128,7 +155,11 @@ def _regulator(drawing: schemdraw.Drawing) -> tuple[float, float]:
 def _stage(drawing: schemdraw.Drawing, base: tuple[float, float]) -> None:
     """Draw TIP120, motor, flyback diode, sense resistor and the enable that takes the base away."""
     power_transistor = drawing.add(
-        elm.BjtNpn().at((base[0] + 1.6, base[1])).anchor("base").theta(0).label("Q1 TIP120\n(Darlington)", "right")
+        elm.BjtNpn()
+        .at((base[0] + 1.6, base[1]))
+        .anchor("base")
+        .theta(0)
+        .label("Q1 TIP120\n(Darlington)", "right")
     )
     drawing.add(elm.Line().at(base).to(power_transistor.base))
     drawing.add(elm.Line().at(power_transistor.collector).up().length(0.5))
@@ -145,10 +176,16 @@ def _stage(drawing: schemdraw.Drawing, base: tuple[float, float]) -> None:
     sense = drawing.add(elm.Dot())
     drawing.add(elm.Line().at(sense.center).right().length(1.2))
     drawing.add(elm.Label().label("SENSE", "right", fontsize=9))
-    drawing.add(elm.Resistor().at(sense.center).down().length(2).label("RS 0.100 Ω 5 W 1 %", "bottom"))
+    drawing.add(
+        elm.Resistor().at(sense.center).down().length(2).label("RS 0.100 Ω 5 W 1 %", "bottom")
+    )
     drawing.add(elm.Ground())
     clamp = drawing.add(
-        elm.BjtNpn().at((base[0] - 0.75, base[1] - 2.4)).anchor("base").theta(0).label("Q2 BC547B", "right")
+        elm.BjtNpn()
+        .at((base[0] - 0.75, base[1] - 2.4))
+        .anchor("base")
+        .theta(0)
+        .label("Q2 BC547B", "right")
     )
     drawing.add(elm.Line().at(clamp.collector).toy(base))
     drawing.add(elm.Ground().at(clamp.emitter))
@@ -180,7 +217,13 @@ def _sensing(drawing: schemdraw.Drawing) -> None:
     drawing.add(elm.Label().label("VADC", "right", fontsize=9))
     drawing.add(elm.Capacitor().at(reading.center).down().length(1.6).label("100 nF", "bottom"))
     drawing.add(elm.Ground())
-    drawing.add(elm.Schottky().at((reading.center[0] + 1, reading.center[1])).up().length(1.5).label("BAT85", "bottom"))
+    drawing.add(
+        elm.Schottky()
+        .at((reading.center[0] + 1, reading.center[1]))
+        .up()
+        .length(1.5)
+        .label("BAT85", "bottom")
+    )
     drawing.add(elm.Label().label("+5V", "top", fontsize=9))
     # U4D: half of the ADC's span.
     fourth = _amplifier(drawing, (14.4, -6.6), "U4D")
@@ -216,7 +259,9 @@ def nano(drawing: schemdraw.Drawing) -> None:
         "- OUT1 motor +,- OUT2 motor -,- IPROPI VIP", 3.4,
     )  # fmt: skip
     drawing.add(
-        elm.Label().at((3.6, -0.7)).label("R7 ... R14: 10k from each of D4 ... D11 to GND", "right", fontsize=10)
+        elm.Label()
+        .at((3.6, -0.7))
+        .label("R7 ... R14: 10k from each of D4 ... D11 to GND", "right", fontsize=10)
     )
     drawing.add(elm.Label().at((-2, -2.2)).label("Set-point", "right", fontsize=10))
     drawing.add(elm.Label().at((-1, -3.4)).label("VSET", "left", fontsize=9, ofst=0.25))
@@ -241,7 +286,9 @@ def nano(drawing: schemdraw.Drawing) -> None:
     drawing.add(elm.Line().at(node.center).right().length(1.4))
     drawing.add(elm.Label().label("VADC", "right", fontsize=9))
     drawing.add(elm.Label().at((14, -2.2)).label("Enable", "right", fontsize=10))
-    switch = drawing.add(elm.NFet().at((17, -4.4)).anchor("gate").theta(0).reverse().label("Q1 2N7000", "right"))
+    switch = drawing.add(
+        elm.NFet().at((17, -4.4)).anchor("gate").theta(0).reverse().label("Q1 2N7000", "right")
+    )
     drawing.add(elm.Line().at(switch.gate).left().length(1.4))
     node = drawing.add(elm.Dot())
     drawing.add(elm.Label().at(node.center).label("STAGE_OFF", "left", fontsize=9))

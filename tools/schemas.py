@@ -16,7 +16,10 @@ FOLDER = Path(__file__).resolve().parent.parent / "config" / "schemas"
 def texts() -> dict[str, str]:
     """Return the text of each file by its name."""
     return {
-        f"{kind.name}.json": json.dumps(kind.json_schema(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        f"{kind.name}.json": json.dumps(
+            kind.json_schema(), indent=1, ensure_ascii=False, allow_nan=False
+        )
+        + "\n"
         for kind in KINDS
     }
 

@@ -118,7 +118,9 @@ def _declares_option(node: ast.AST) -> bool:
 
 def files(*patterns: str) -> list[str]:
     """Return the files of these patterns, relative to the root, in their order."""
-    return sorted(str(path.relative_to(ROOT)) for pattern in patterns for path in ROOT.glob(pattern))
+    return sorted(
+        str(path.relative_to(ROOT)) for pattern in patterns for path in ROOT.glob(pattern)
+    )
 
 
 def main() -> int:
@@ -127,13 +129,17 @@ def main() -> int:
     sizes = {name: measure(source) for name, source in sources.items()}
     print(f"{'':30} {'tokens':>8} {'goal':>8} {'a line':>7} {'lines':>7} {'modules':>8}")
     for folder in ("", *FOLDERS):
-        inside = [size for name, size in sizes.items() if folder == "" or name.startswith(f"{folder}/")]
+        inside = [
+            size for name, size in sizes.items() if folder == "" or name.startswith(f"{folder}/")
+        ]
         tokens = sum(size.tokens for size in inside)
         code_lines = sum(size.code_lines for size in inside)
         lines = sum(size.lines for size in inside)
         goal = TOKEN_GOALS.get(folder, "")
         title = folder or "all product code"
-        print(f"{title:30} {tokens:8} {goal:>8} {tokens / max(code_lines, 1):7.2f} {lines:7} {len(inside):8}")
+        print(
+            f"{title:30} {tokens:8} {goal:>8} {tokens / max(code_lines, 1):7.2f} {lines:7} {len(inside):8}"
+        )
 
     options = sum(count_options(source) for source in sources.values())
     words = sum(len(_read(name).split()) for name in files("docs/**/*.md"))
@@ -158,12 +164,20 @@ def _commands() -> list[str]:
 
 
 def _api_names() -> set[str]:
-    return set(re.findall(r"\bas (\w+)", "\n".join(_type_checking_imports(_read("rx90_emulator/__init__.py")))))
+    return set(
+        re.findall(
+            r"\bas (\w+)", "\n".join(_type_checking_imports(_read("rx90_emulator/__init__.py")))
+        )
+    )
 
 
 def _type_checking_imports(source: str) -> list[str]:
     tree = ast.parse(source)
-    guards = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    guards = [
+        node
+        for node in tree.body
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    ]
     return [ast.unparse(statement) for guard in guards for statement in guard.body]
 
 

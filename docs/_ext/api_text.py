@@ -33,7 +33,11 @@ def _overview(lines: list[str]) -> list[str]:
 def _linked(text: str) -> str:
     import rx90_emulator
 
-    return re.sub(r"\w+", lambda word: f":obj:`{word[0]}`" if word[0] in rx90_emulator.__all__ else word[0], text)
+    return re.sub(
+        r"\w+",
+        lambda word: f":obj:`{word[0]}`" if word[0] in rx90_emulator.__all__ else word[0],
+        text,
+    )
 
 
 def _rewrite(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:  # noqa: ARG001 - Sphinx hands them over

@@ -46,7 +46,9 @@ def _as_written(text: str | None) -> str | None:
     """Return a text with its indented lines as code, as a terminal shows them."""
     if text is None:
         return None
-    return re.sub(r"(?:^ +\S.*\n?)+", lambda lines: f"\n::\n\n{lines[0]}\n", text, flags=re.MULTILINE)
+    return re.sub(
+        r"(?:^ +\S.*\n?)+", lambda lines: f"\n::\n\n{lines[0]}\n", text, flags=re.MULTILINE
+    )
 
 
 def __getattr__(name: str) -> Callable[[], ArgumentParser]:

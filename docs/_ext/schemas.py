@@ -25,14 +25,18 @@ class Schemas(SphinxDirective):
         listing = nodes.bullet_list()
         for file in files:
             self.env.note_dependency(str(file))
-            listing += nodes.list_item("", self._entry(file.name, json.loads(file.read_text(encoding="utf-8"))))
+            listing += nodes.list_item(
+                "", self._entry(file.name, json.loads(file.read_text(encoding="utf-8")))
+            )
         return [listing]
 
     def _entry(self, name: str, schema: dict[str, Any]) -> nodes.paragraph:
         about = schema.get("description") or schema.get("title") or ""
         keys = ", ".join(schema.get("properties", {}))
         text = f": {about}" + f" Keys: {keys}." * bool(keys)
-        return nodes.paragraph("", "", nodes.literal("", f"config/schemas/{name}"), nodes.Text(text))
+        return nodes.paragraph(
+            "", "", nodes.literal("", f"config/schemas/{name}"), nodes.Text(text)
+        )
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

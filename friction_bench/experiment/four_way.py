@@ -113,7 +113,12 @@ def _net(drive: float, speed: float, coulomb: float, viscous: float) -> float:
 
 @kernel
 def _fixed_steps(
-    slope: float, begin: float, friction: tuple[float, float], inertia: float, step: float, count: int
+    slope: float,
+    begin: float,
+    friction: tuple[float, float],
+    inertia: float,
+    step: float,
+    count: int,
 ) -> Array:
     """Integrate by Bogacki and Shampine's third-order steps (Simulink's ode3); see `block_diagram`."""
     coulomb, viscous = friction
@@ -148,8 +153,12 @@ def block_diagram(model: RampModel, start: float, time: Array, step: float = FIX
     """
     step = min(step, STABLE * model.time_constant)
     count = int(np.ceil(time[-1] / step)) + 2
-    found = _fixed_steps(model.slope, start, (model.coulomb, model.viscous), model.inertia, step, count)
-    at = np.rint(time / step).astype(int)  # the scope shows the solver's last step, not a line between two
+    found = _fixed_steps(
+        model.slope, start, (model.coulomb, model.viscous), model.inertia, step, count
+    )
+    at = np.rint(time / step).astype(
+        int
+    )  # the scope shows the solver's last step, not a line between two
     return Sensor(time, *found[:, at])
 
 
@@ -183,7 +192,9 @@ def simulate_multibody(model: RampModel, start: float, ratio: float, time: Array
     joint.gravity = pin.Motion.Zero()
     joint.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "revolute")
     spin = model.inertia / 2 * ratio**2
-    joint.appendBodyToJoint(1, pin.Inertia(1.0, np.zeros(3), np.diag([spin / 2, spin / 2, spin])), pin.SE3.Identity())
+    joint.appendBodyToJoint(
+        1, pin.Inertia(1.0, np.zeros(3), np.diag([spin / 2, spin / 2, spin])), pin.SE3.Identity()
+    )
     joint.armature = np.array([spin])
     data = joint.createData()
     static = model.coulomb + model.release
@@ -199,7 +210,9 @@ def simulate_multibody(model: RampModel, start: float, ratio: float, time: Array
     found = [np.zeros(int(np.sum(time <= start)))]
     moving = time[time > start]
     if moving.size:
-        solution = solve_ivp(acceleration, (start, last), [0.0], "BDF", moving, rtol=1e-6, atol=1e-8)
+        solution = solve_ivp(
+            acceleration, (start, last), [0.0], "BDF", moving, rtol=1e-6, atol=1e-8
+        )
         found.append(ratio * solution.y[0])
     return np.concatenate(found)
 
@@ -226,11 +239,17 @@ def _pairs(velocities: dict[str, Array], slides: Mask) -> list[Pair]:
     return pairs
 
 
-def _models(model: RampModel, start: float, ratio: float, time: Array) -> tuple[Sensor, dict[str, Array]]:
+def _models(
+    model: RampModel, start: float, ratio: float, time: Array
+) -> tuple[Sensor, dict[str, Array]]:
     """Return the block diagram's sensor and the velocities of the three models."""
     sensor = block_diagram(model, start, time)
     multibody = simulate_multibody(model, start, ratio, time)
-    return sensor, {BLOCK: sensor.velocity, MULTIBODY: multibody, CLOSED: model.velocity(time - start)}
+    return sensor, {
+        BLOCK: sensor.velocity,
+        MULTIBODY: multibody,
+        CLOSED: model.velocity(time - start),
+    }
 
 
 def compare(record: RampRecord, model: RampModel, ratio: float) -> FourWay:

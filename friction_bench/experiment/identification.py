@@ -68,8 +68,13 @@ class RampFriction:
     def of(cls, values: Array, covariance: Array, scale: float) -> RampFriction:
         """Return the friction with intervals, for a relative uncertainty of the torque scale."""
         errors = np.sqrt(np.diag(covariance)).tolist()
-        estimates = [interval(value, error, scale) for value, error in zip(values.tolist(), errors, strict=True)]
-        return cls(estimates[0], estimates[1], estimates[2] if len(estimates) > 2 else None, covariance)
+        estimates = [
+            interval(value, error, scale)
+            for value, error in zip(values.tolist(), errors, strict=True)
+        ]
+        return cls(
+            estimates[0], estimates[1], estimates[2] if len(estimates) > 2 else None, covariance
+        )
 
 
 @dataclass(frozen=True)
@@ -161,7 +166,9 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
     """
     _, windows, unused = _usable(records, sliding_window)
     bends = find_bends(windows) if windows else []
-    unused += [_bent(window.record, bend) for window, bend in zip(windows, bends, strict=True) if bend]
+    unused += [
+        _bent(window.record, bend) for window, bend in zip(windows, bends, strict=True) if bend
+    ]
     windows = [window for window, bend in zip(windows, bends, strict=True) if not bend]
     if not windows:
         raise unused[0]
@@ -229,7 +236,9 @@ def difference(
     return estimates[0], estimates[1]
 
 
-def joint_friction(unloaded: RampIdentification, loaded: RampIdentification, rig: Rig) -> JointFrictionEstimate:
+def joint_friction(
+    unloaded: RampIdentification, loaded: RampIdentification, rig: Rig
+) -> JointFrictionEstimate:
     """Return f_joint = f_load - f_noload with propagated uncertainty.
 
     Both were measured on the same torque scale: its error scales the difference and counts once.
@@ -237,7 +246,9 @@ def joint_friction(unloaded: RampIdentification, loaded: RampIdentification, rig
     """
     factors = rig.joint_scale, rig.joint_scale * rig.gear.ratio
     motor = difference(loaded.best, unloaded.best, rig.torque.scale_uncertainty)
-    return JointFrictionEstimate(*motor, *difference(loaded.best, unloaded.best, rig.joint_scale_uncertainty, factors))
+    return JointFrictionEstimate(
+        *motor, *difference(loaded.best, unloaded.best, rig.joint_scale_uncertainty, factors)
+    )
 
 
 class SourceFigures(NamedTuple):
@@ -302,7 +313,9 @@ def evaluate_as_source(loads: Mapping[str, Sequence[RampRecord]]) -> SourceEvalu
             spread = float(np.std([row[2] for row in rows], ddof=1)) if len(rows) > 1 else 0.0
             total = round(coulomb + (viscous if name == "no-load" else 0.0), 3)
             figures[name] = SourceFigures(a, b, coulomb, viscous, spread, len(rows), total)
-    joint = round(figures["loaded"].total - figures["no-load"].total, 3) if len(figures) == 2 else None
+    joint = (
+        round(figures["loaded"].total - figures["no-load"].total, 3) if len(figures) == 2 else None
+    )
     return SourceEvaluation(figures, joint)
 
 
@@ -333,7 +346,9 @@ class RampTestResult:
     def unphysical(self) -> tuple[str, ...]:
         """Return the invalid values among the joint's estimates, or those of the only load: value, cause and remedy."""
         of = "the joint's" if self.joint is not None else f"the {self.parts[0][0]}"
-        remedy = "the difference of the loads is below what they tell; run more repeats, or more load"
+        remedy = (
+            "the difference of the loads is below what they tell; run more repeats, or more load"
+        )
         single = " and ".join(name for name, part in self.parts if part.exact is None)
         if single:
             remedy = (
@@ -356,9 +371,13 @@ def evaluate(records: Sequence[RampRecord], rig: Rig, as_source: bool = False) -
         rig: on which they were run.
         as_source: also evaluate them as the source does.
     """
-    loads = {"no-load": [r for r in records if not r.loaded], "loaded": [r for r in records if r.loaded]}
+    loads = {
+        "no-load": [r for r in records if not r.loaded],
+        "loaded": [r for r in records if r.loaded],
+    }
     names, parts, refusals = _usable(
-        [name for name in loads if loads[name]], lambda name: identify_ramps(loads[name], rig.torque.scale_uncertainty)
+        [name for name in loads if loads[name]],
+        lambda name: identify_ramps(loads[name], rig.torque.scale_uncertainty),
     )
     if not parts:
         raise refusals[0]

@@ -9,7 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from friction_bench.experiment.identification import evaluate
-from friction_bench.experiment.record import RampRecord, read_csv, read_text, sliding_window, write_csv
+from friction_bench.experiment.record import (
+    RampRecord,
+    read_csv,
+    read_text,
+    sliding_window,
+    write_csv,
+)
 from friction_bench.experiment.report import write_friction, write_result
 from friction_bench.experiment.session import (
     LIMITS_SHARE,
@@ -72,9 +78,13 @@ def run_ramp(
     wait_for_rest(client)
     with armed(client):
         samples = _follow(client, client.start_ramp(slope, end_torque), on_sample)
-    samples = [sample for sample in samples if sample.report.dac < end]  # a held end torque is no ramp
+    samples = [
+        sample for sample in samples if sample.report.dac < end
+    ]  # a held end torque is no ramp
     if len(samples) < 2:
-        raise RigError(f"{label}: {counted(len(samples), 'reading')} during the ramp; accepted: at least 2")
+        raise RigError(
+            f"{label}: {counted(len(samples), 'reading')} during the ramp; accepted: at least 2"
+        )
     ticks, counts, dac, adc = sample_columns(samples)
     return RampRecord(
         time=ticks * rig.tick - samples[0].time,
@@ -88,7 +98,9 @@ def run_ramp(
     )
 
 
-def _follow(client: RigClient, first: list[Sample], on_sample: Callable[[Sample], None]) -> list[Sample]:
+def _follow(
+    client: RigClient, first: list[Sample], on_sample: Callable[[Sample], None]
+) -> list[Sample]:
     samples = [sample for sample in first if sample.report.state == State.RAMPING]
     while not last_near_limits(client.rig, samples):
         for sample in client.pump():
@@ -104,7 +116,10 @@ def _follow(client: RigClient, first: list[Sample], on_sample: Callable[[Sample]
 
 
 def run_planned(
-    run: Callable[[float, str], RampRecord], plan: RampPlan, loaded: bool, choose: Callable[[RampRecord], RampPlan]
+    run: Callable[[float, str], RampRecord],
+    plan: RampPlan,
+    loaded: bool,
+    choose: Callable[[RampRecord], RampPlan],
 ) -> None:
     """Run all ramps under one load: the first of the slowest slope, then those of the plan that is chosen by it.
 
@@ -148,7 +163,11 @@ def plan_from(first: RampRecord, plan: RampPlan, rig: Rig) -> RampPlan:
     farthest = LIMITS_SHARE * travel * TRAVEL_UNIT * first.angle_step
     slowest = rise**2 / (2.0 * viscous * farthest)  # slower ones turn the shaft too far
     slopes = plan.slopes
-    if not (max(slopes) <= fastest and min(slopes) >= slowest and max(slopes) >= MIN_SLOPE_RATIO * min(slopes)):
+    if not (
+        max(slopes) <= fastest
+        and min(slopes) >= slowest
+        and max(slopes) >= MIN_SLOPE_RATIO * min(slopes)
+    ):
         high = min(max(fastest, SLOPE_RATIO * slowest), max(slopes))
         low = max(high / SLOPE_RATIO, rig.slope_of_step(1))
         slopes = (float(f"{low:.3g}"), float(f"{high:.3g}"))
@@ -163,7 +182,9 @@ def run(options: argparse.Namespace) -> int:
     Returns:
         The exit code: 1 if a requested load has no estimate.
     """
-    rig = load_rig(resolve_config(SOURCE_RIG if options.source and options.rig == SHIPPED_RIG else options.rig))
+    rig = load_rig(
+        resolve_config(SOURCE_RIG if options.source and options.rig == SHIPPED_RIG else options.rig)
+    )
     out: Path = options.output
     path = RobotFiles.of_options(options).friction
     base = FrictionFile.read(path)
@@ -174,13 +195,17 @@ def run(options: argparse.Namespace) -> int:
         origin = counted(len(records), "recorded ramp")
     else:
         records = _measure(options, rig, _plan(options, rig))
-        measured_by = "emulated rig" if seed_of(options.port) is not None else f"rig at {options.port}"
+        measured_by = (
+            "emulated rig" if seed_of(options.port) is not None else f"rig at {options.port}"
+        )
         origin = f"{counted(len(records), 'ramp')} on the {measured_by}"
     found = evaluate(records, rig, options.source)
     write_result(out, found, rig, origin)
     print(one_line(f"report: {out / 'report.html'}"))
     if found.failures:
-        print("parameters for rx90_sim: not written, as a load carries no estimate", file=sys.stderr)
+        print(
+            "parameters for rx90_sim: not written, as a load carries no estimate", file=sys.stderr
+        )
         return VERDICT_NO
     for text in found.unphysical:
         print(one_line(f"not physical: {text}"), file=sys.stderr)
@@ -188,7 +213,10 @@ def run(options: argparse.Namespace) -> int:
         write_friction(out / "friction.yaml", found, options.element, base)
         print(one_line(f"parameters for rx90_sim: {out / 'friction.yaml'}"))
     else:
-        print("parameters for rx90_sim: not written, as the Coulomb friction is not positive", file=sys.stderr)
+        print(
+            "parameters for rx90_sim: not written, as the Coulomb friction is not positive",
+            file=sys.stderr,
+        )
     return VERDICT_NO if found.unphysical else DONE
 
 
@@ -207,11 +235,15 @@ def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
     slopes = tuple(options.slopes or rig.ramps.slopes)
     torque = options.end_torque
     if torque is not None and not 0.0 < torque <= rig.torque.dac_full_scale:
-        raise ConfigError(f"--end-torque is {torque:g}; accepted: (0, {rig.torque.dac_full_scale:g}] Nm")
+        raise ConfigError(
+            f"--end-torque is {torque:g}; accepted: (0, {rig.torque.dac_full_scale:g}] Nm"
+        )
     for slope in slopes:
         rig.ramp_step(slope)
         if slopes.count(slope) > 1:
-            raise ConfigError(f"--slopes has {slope:g} twice; accepted: each slope once, and --repeats for more ramps")
+            raise ConfigError(
+                f"--slopes has {slope:g} twice; accepted: each slope once, and --repeats for more ramps"
+            )
     with refusals(RampPlan):
         return RampPlan(
             slopes=slopes,
@@ -254,7 +286,9 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[Ramp
             try:
                 planned = plan.replaced(slopes=(plan.slopes[loaded],)) if options.source else plan
                 run_planned(run_one, planned, loaded, choose)
-            except IdentificationError as error:  # earlier measurements are on disk, and are evaluated
+            except (
+                IdentificationError
+            ) as error:  # earlier measurements are on disk, and are evaluated
                 bar.write(f"{error}; no more ramps", sys.stderr)
                 break
     return records
@@ -270,9 +304,13 @@ def _read(options: argparse.Namespace, rig: Rig) -> list[RampRecord]:
             except ValueError:
                 slope = math.nan
             if not 0.0 < slope < math.inf or not file:
-                raise ConfigError(f"file is {quoted(entry)}; accepted: slope:file, for example 0.05:ramp_01.csv")
+                raise ConfigError(
+                    f"file is {quoted(entry)}; accepted: slope:file, for example 0.05:ramp_01.csv"
+                )
             if options.text:
-                records.append(read_text(Path(file), options.text, slope, rig.angle_step, rig.tick, loaded))
+                records.append(
+                    read_text(Path(file), options.text, slope, rig.angle_step, rig.tick, loaded)
+                )
             else:
                 records.append(read_csv(Path(file), slope, rig.angle_step, loaded))
     return records

@@ -20,7 +20,9 @@ _TIME = "time since the torque's zero, s"
 def velocities(part: RampIdentification) -> list[figure]:
     """Show the velocities of all repeats with the fitted ones, a figure for each slope (figures 4 to 6)."""
     figures = []
-    deviations = chart("all ramps from where the shaft slides, one colour a slope", _TIME, "less fit, rad/s")
+    deviations = chart(
+        "all ramps from where the shaft slides, one colour a slope", _TIME, "less fit, rad/s"
+    )
     for j, slope in enumerate(slopes_of(part.ramps)):
         ramps = [ramp for ramp in part.ramps if ramp.slope == slope]
         title = f"m = {slope:.4g} Nm/s, {len(ramps)} {'ramp' if len(ramps) == 1 else 'repeats'}"
@@ -33,7 +35,9 @@ def velocities(part: RampIdentification) -> list[figure]:
             deviation = velocity[fitted] - np.interp(time[fitted], ramp.time, ramp.velocity)
             deviations.line(time[fitted], deviation, color=COLOURS[j % len(COLOURS)])
         for ramp in ramps:
-            shown.line(ramp.time, ramp.velocity, name="fitted velocity", color=INK, line_dash="dashed")
+            shown.line(
+                ramp.time, ramp.velocity, name="fitted velocity", color=INK, line_dash="dashed"
+            )
         figures.append(shown)
     return [*figures, deviations]
 
@@ -63,9 +67,23 @@ def four_ways(comparison: FourWay) -> list[figure]:
     *_, closed = comparison.velocities.values()
     for k, (name, velocity) in enumerate(comparison.velocities.items()):
         width = 1.0 if name == EXPERIMENT else 1.8
-        above.line(comparison.time, velocity, name=name, color=COLOURS[k], line_width=width, line_dash=_DASHES[k])
+        above.line(
+            comparison.time,
+            velocity,
+            name=name,
+            color=COLOURS[k],
+            line_width=width,
+            line_dash=_DASHES[k],
+        )
         difference = 100 * (velocity - closed) / closed[-1]
-        below.line(comparison.time, difference, name=name, color=COLOURS[k], line_width=width, line_dash=_DASHES[k])
+        below.line(
+            comparison.time,
+            difference,
+            name=name,
+            color=COLOURS[k],
+            line_width=width,
+            line_dash=_DASHES[k],
+        )
     return [above, below]
 
 
@@ -74,7 +92,14 @@ def source_input(comparison: FourWay) -> list[figure]:
     sensor = comparison.as_source
     velocity = chart("velocity", "time, s", "motor velocity, rad/s")
     for k, (name, values) in enumerate(comparison.source_velocities.items()):
-        velocity.line(sensor.time, values, name=name, color=COLOURS[k + 1], line_width=1.8, line_dash=_DASHES[k])
+        velocity.line(
+            sensor.time,
+            values,
+            name=name,
+            color=COLOURS[k + 1],
+            line_width=1.8,
+            line_dash=_DASHES[k],
+        )
     figures = [velocity]
     for title, values, unit in (
         ("position", sensor.position, "rad"),

@@ -77,7 +77,9 @@ class RampModel:
     def angle(self, time: ArrayLike) -> Array:
         """Return the angle since rest, rad."""
         s, T, a = self._since_release(time)
-        return np.asarray(a * s * s / 2 + (self.release / self.viscous - a * T) * (s + T * np.expm1(-s / T)))
+        return np.asarray(
+            a * s * s / 2 + (self.release / self.viscous - a * T) * (s + T * np.expm1(-s / T))
+        )
 
     def _since_release(self, time: ArrayLike) -> tuple[Array, float, float]:
         """Return s, s, T, s, and a, rad/s²."""
@@ -115,17 +117,25 @@ class RampRecord:
 
     def __post_init__(self) -> None:
         if self.time.ndim != 1 or self.time.size < 2 or self.time.shape != self.angle.shape:
-            raise RecordError(f"{self.label}: {counted(self.time.size, 'reading')}; accepted: at least 2")
+            raise RecordError(
+                f"{self.label}: {counted(self.time.size, 'reading')}; accepted: at least 2"
+            )
         for name in ("time", "angle", "torque", "measured_torque"):
             values = getattr(self, name)
-            if values is not None and not (values.shape == self.time.shape and np.isfinite(values).all()):
-                raise RecordError(f"{self.label}: column {name} holds values that are missing or not finite")
+            if values is not None and not (
+                values.shape == self.time.shape and np.isfinite(values).all()
+            ):
+                raise RecordError(
+                    f"{self.label}: column {name} holds values that are missing or not finite"
+                )
         steps = np.diff(self.time)
         if steps.min() <= 0.0:
             row = int(np.argmin(steps)) + 2
             raise RecordError(f"{self.label}: time does not increase at reading {row}")
         if not (math.isfinite(self.slope) and self.slope > 0.0):
-            raise RecordError(f"{self.label}: slope m is {self.slope:g} Nm/s; accepted: a number > 0")
+            raise RecordError(
+                f"{self.label}: slope m is {self.slope:g} Nm/s; accepted: a number > 0"
+            )
 
     @cached_property
     def tick(self) -> float:
@@ -175,7 +185,9 @@ def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) 
     for name in CSV_COLUMNS:
         if name in header:
             at = header.index(name)
-            columns[name] = np.array([_number(path, line, name, row[at : at + 1]) for line, row in rows])
+            columns[name] = np.array(
+                [_number(path, line, name, row[at : at + 1]) for line, row in rows]
+            )
         elif name in CSV_COLUMNS[:2]:
             lacking = f"column {quoted(name)} is missing, found {quoted(', '.join(header)[:80])}"
             raise RecordError(f"{path}: {lacking}; accepted: {', '.join(CSV_COLUMNS)}")
@@ -197,22 +209,33 @@ def _number(path: Path, line: int, name: str, field: list[str]) -> float:
         return float(field[0])
     except (IndexError, ValueError):
         found = quoted(field[0] if field else "nothing")
-        raise RecordError(f"{path}: line {line}, column {name} holds {found}; accepted: a number") from None
+        raise RecordError(
+            f"{path}: line {line}, column {name} holds {found}; accepted: a number"
+        ) from None
 
 
 def write_csv(record: RampRecord, path: Path) -> None:
     """Write a record so that `read_csv` gives it back."""
     counts = np.rint(record.angle / record.angle_step).astype(int)
     columns = record.time, counts, record.torque, record.measured_torque
-    known = {name: column.tolist() for name, column in zip(CSV_COLUMNS, columns, strict=True) if column is not None}
-    with atomic_files(path) as (temporary,), temporary.open("w", newline="", encoding="utf-8") as stream:
+    known = {
+        name: column.tolist()
+        for name, column in zip(CSV_COLUMNS, columns, strict=True)
+        if column is not None
+    }
+    with (
+        atomic_files(path) as (temporary,),
+        temporary.open("w", newline="", encoding="utf-8") as stream,
+    ):
         stream.write(f"# {record.label}, slope {record.slope!r} Nm/s\n")
         writer = csv.writer(stream)
         writer.writerow(known)
         writer.writerows(zip(*known.values(), strict=True))
 
 
-def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: float, loaded: bool = False) -> RampRecord:
+def read_text(
+    path: Path, kind: str, slope: float, angle_step: float, tick: float, loaded: bool = False
+) -> RampRecord:
     """Read the plain text of the source's program: one reading per line, every 20 ms.
 
     A line holds one number, or time (s) and one number; tabs, blanks, commas and semicolons separate.
@@ -228,7 +251,9 @@ def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: floa
         try:
             rows.append([float(word) for word in words])
         except ValueError:
-            raise RecordError(f"{path}: line {line} holds {quoted(' '.join(words))}; accepted: numbers") from None
+            raise RecordError(
+                f"{path}: line {line} holds {quoted(' '.join(words))}; accepted: numbers"
+            ) from None
         if len(words) not in {1, 2} or len(words) != len(rows[0]):
             holds = f"line {line} holds {counted(len(words), 'number')}"
             raise RecordError(f"{path}: {holds}; accepted: 1 or 2, the same on every line")
@@ -236,7 +261,9 @@ def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: floa
         raise RecordError(f"{path}: {counted(len(rows), 'reading')}; accepted: at least 2")
     table = np.array(rows)
     values: Array = table[:, -1]
-    time: Array = table[:, 0] if table.shape[1] == 2 else tick * np.arange(1, len(rows) + 1, dtype=np.float64)
+    time: Array = (
+        table[:, 0] if table.shape[1] == 2 else tick * np.arange(1, len(rows) + 1, dtype=np.float64)
+    )
     step = float(np.median(np.diff(time)))
     if not tick / 2 <= step <= tick * 2:
         raise RecordError(
@@ -248,7 +275,9 @@ def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: floa
     elif kind == "increments":
         angle = np.cumsum(values) * angle_step
     else:
-        if kind == INSTANTANEOUS:  # by the trapezoidal rule, from a reading at rest before the first one
+        if (
+            kind == INSTANTANEOUS
+        ):  # by the trapezoidal rule, from a reading at rest before the first one
             values = (values + np.concatenate(([0.0], values[:-1]))) / 2
         angle = np.cumsum(values * np.diff(time, prepend=time[0] - tick))
     return RampRecord(time, np.asarray(angle), slope, angle_step, loaded=loaded, label=path.name)
@@ -292,7 +321,9 @@ def break_away(record: RampRecord, asymptote: tuple[float, float], T: float | No
         T: time constant, s; the friction is assumed to fall to f_c = m (b / a - T) at once. None where it is not known:
             the friction is assumed not to fall.
     """
-    from scipy.optimize import minimize_scalar  # here, because --help of the command must not wait for it
+    from scipy.optimize import (
+        minimize_scalar,
+    )  # here, because --help of the command must not wait for it
 
     time, angle, first = first_motion(record)
     a, b = asymptote
@@ -310,7 +341,9 @@ def break_away(record: RampRecord, asymptote: tuple[float, float], T: float | No
             released = RampModel(b - a * T, 1.0, T, a, (moment + T) * a - b)
         return float(np.sum((released.angle(time[onset]) - angle[onset]) ** 2))
 
-    return float(minimize_scalar(misfit, bounds=(min(earliest, latest), latest), method="bounded").x)
+    return float(
+        minimize_scalar(misfit, bounds=(min(earliest, latest), latest), method="bounded").x
+    )
 
 
 def _stays_beyond(angle: Array, threshold: float) -> int:
@@ -332,7 +365,9 @@ def first_motion(record: RampRecord) -> tuple[Array, Array, int]:
 
     if torque is not None:
         late = np.abs(torque - record.slope * (time + record.tick / 2))
-        allowed = max(1.5 * float(np.abs(np.diff(torque)).max(initial=0.0)), 2 * record.slope * record.tick)
+        allowed = max(
+            1.5 * float(np.abs(np.diff(torque)).max(initial=0.0)), 2 * record.slope * record.tick
+        )
         if late.max() > allowed:
             where = f"by {late.max():.3g} Nm at {time[np.argmax(late)]:.2f} s"
             refuse(

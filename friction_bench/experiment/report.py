@@ -56,7 +56,9 @@ def write_result(out: Path, found: RampTestResult, rig: Rig, origin: str) -> Non
         for text, friction in zip(METHODS, (part.source, part.exact), strict=True)
         if friction is not None
     ]
-    document: dict[str, Any] = {"units": {"coulomb": "Nm", "viscous": "Nm s/rad", "inertia": "kg m2"}}
+    document: dict[str, Any] = {
+        "units": {"coulomb": "Nm", "viscous": "Nm s/rad", "inertia": "kg m2"}
+    }
     lines = [f"{'':34}{'f_c, Nm [95 %]':>34}{'f_v, Nm s/rad [95 %]':>40}"]
 
     def add(title: str, coulomb: IntervalEstimate, viscous: IntervalEstimate) -> dict[str, Any]:
@@ -76,12 +78,19 @@ def write_result(out: Path, found: RampTestResult, rig: Rig, origin: str) -> Non
         }
         lines.append(f"joint side: {rig.joint_side_reason}")
     if found.as_source is not None:
-        document["as_source"] = {name: figures._asdict() for name, figures in found.as_source.loads.items()}
+        document["as_source"] = {
+            name: figures._asdict() for name, figures in found.as_source.loads.items()
+        }
         document["as_source"]["f_joint"] = found.as_source.joint
     if found.comparison is not None:
-        document["comparison"] = [pair._asdict() | {"within": pair.within} for pair in found.comparison.pairs]
+        document["comparison"] = [
+            pair._asdict() | {"within": pair.within} for pair in found.comparison.pairs
+        ]
         lines += [_pair_line(pair) for pair in found.comparison.pairs]
-        of_models = {"compared": four_ways(found.comparison), "source_input": source_input(found.comparison)}
+        of_models = {
+            "compared": four_ways(found.comparison),
+            "source_input": source_input(found.comparison),
+        }
     unused = [*found.failures, *(reason for _, part in found.parts for reason in part.unused)]
     page = render_page(
         "friction_bench.experiment",
@@ -111,7 +120,9 @@ def write_result(out: Path, found: RampTestResult, rig: Rig, origin: str) -> Non
 
 
 def _pair_line(pair: Pair) -> str:
-    band = f"; source: ± {pair.band:g} %, {'kept' if pair.within else 'not kept'}" if pair.band else ""
+    band = (
+        f"; source: ± {pair.band:g} %, {'kept' if pair.within else 'not kept'}" if pair.band else ""
+    )
     return f"{pair.first} - {pair.second}: {pair.worst:.2g} % worst, {pair.sliding:.2g} % while sliding{band}"
 
 
@@ -153,11 +164,18 @@ def write_friction(path: Path, found: RampTestResult, element: str, base: Fricti
             "estimate": _interval(viscous),
             "reason": found.unphysical[-1],
         }
-    source = f"ramp test on the friction rig: {identified} of {element} identified, the rest assumed"
+    source = (
+        f"ramp test on the friction rig: {identified} of {element} identified, the rest assumed"
+    )
     parameters = {
         "tau_c": {"provenance": "identified", **_interval(coulomb)},
         "c2": of_c2,
-        "tau_s": {"provenance": "assumed", "value": _rounded(static), "identifiable": False, "reason": STATIC},
+        "tau_s": {
+            "provenance": "assumed",
+            "value": _rounded(static),
+            "identifiable": False,
+            "reason": STATIC,
+        },
         **{name: assumption.copy() for name in ("omega_s", "delta", "c0", "c1", "omega_d")},
     }
     elements = {**base.elements.entries, element: measured}

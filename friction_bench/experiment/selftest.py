@@ -12,7 +12,14 @@ from typing import NamedTuple
 from friction_bench.experiment.session import armed, seed_of
 from friction_bench.rig.client import Port, RigClient, Sample
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
-from friction_bench.rig.messages import Command, Fault, RigError, RigLostError, RigRefusedError, State
+from friction_bench.rig.messages import (
+    Command,
+    Fault,
+    RigError,
+    RigLostError,
+    RigRefusedError,
+    State,
+)
 from friction_bench.rig.rig_file import CODES, load_rig
 from friction_bench.rig.serial_port import SerialPort
 from rx90_common.base.errors import DONE, VERDICT_NO
@@ -60,7 +67,11 @@ def _idle(client: RigClient) -> list[Check]:
         _at_most("damaged frames", 0, client.bad_frames - bad + refused),
         _equal("state", State.DISARMED.name, report.state.name),
         _equal("stage and DAC code, disarmed", "off, 0", _stage_and_code(client)),
-        _at_most("ADC code, disarmed", HIGHEST_IDLE_ADC, sum(sample.report.adc for sample in samples) / len(samples)),
+        _at_most(
+            "ADC code, disarmed",
+            HIGHEST_IDLE_ADC,
+            sum(sample.report.adc for sample in samples) / len(samples),
+        ),
         _at_most("encoder counts of a shaft at rest", 1, max(counts) - min(counts)),
     ]
 
@@ -78,7 +89,9 @@ def _torque(client: RigClient) -> list[Check]:
     with armed(client):
         checks = [_refused(client, Command.RAMP, 1, above)]
         client.request(Command.TORQUE, SMALL_CODE)
-        checks.append(_equal("stage and DAC code after TORQUE", f"on, {SMALL_CODE}", _stage_and_code(client)))
+        checks.append(
+            _equal("stage and DAC code after TORQUE", f"on, {SMALL_CODE}", _stage_and_code(client))
+        )
         checks += [_refused(client, Command.TORQUE, above), _refused(client, Command.TORQUE, CODES)]
         client.request(Command.STOP)
         checks.append(_equal("stage and DAC code after STOP", "off, 0", _stage_and_code(client)))
@@ -114,9 +127,15 @@ def _watchdog(client: RigClient) -> list[Check]:
                 for sample in client.pump():
                     if answered is None and sample.report.ack_sequence != before:
                         answered = sample.tick
-                    if Fault.WATCHDOG in sample.report.fault and sample.report.dac == 0 and answered is not None:
+                    if (
+                        Fault.WATCHDOG in sample.report.fault
+                        and sample.report.dac == 0
+                        and answered is not None
+                    ):
                         took = sample.tick - answered + 1
-                        return [Check(name, f"{ticks} ± 1", str(took), abs(took - ticks) <= 1)]  # a report may be lost
+                        return [
+                            Check(name, f"{ticks} ± 1", str(took), abs(took - ticks) <= 1)
+                        ]  # a report may be lost
         finally:
             client.beating = True
         client.request(Command.STOP)
@@ -136,7 +155,11 @@ def self_test(client: RigClient) -> list[Check]:
             client.clear()
             if not checks:
                 # A greeting with other figures than the rig file's is refused by `connect`.
-                checks.append(Check("figures of the firmware", client.rig.file.name, client.greeting.text, True))
+                checks.append(
+                    Check(
+                        "figures of the firmware", client.rig.file.name, client.greeting.text, True
+                    )
+                )
             checks += test(client)
         except RigLostError:
             raise
@@ -156,12 +179,18 @@ def run(options: argparse.Namespace) -> int:
     """
     rig = load_rig(resolve_config(options.rig))
     seed = seed_of(options.port)
-    port: Port = SerialPort(options.port, rig.baud) if seed is None else VirtualPort(EmulatedRig(rig, seed))
+    port: Port = (
+        SerialPort(options.port, rig.baud) if seed is None else VirtualPort(EmulatedRig(rig, seed))
+    )
     try:
         checks = self_test(RigClient(port, rig))
     finally:
         port.close()
     print(f"{'check':36}{'expected':16}found")
     for check in checks:
-        print(one_line(f"{check.name:36}{check.expected:16}{check.found}: {'ok' if check.good else 'WRONG'}"))
+        print(
+            one_line(
+                f"{check.name:36}{check.expected:16}{check.found}: {'ok' if check.good else 'WRONG'}"
+            )
+        )
     return DONE if all(check.good for check in checks) else VERDICT_NO

@@ -48,7 +48,9 @@ def seed_of(port: str) -> int | None:
     """Return the seed of the emulated rig that a port names, None of a serial line."""
     emulated = _EMULATED.fullmatch(port)
     if emulated is None and port.startswith("emulated"):
-        raise ConfigError(f"--port {quoted(port)}; accepted: emulated, emulated:SEED such as emulated:7, a serial line")
+        raise ConfigError(
+            f"--port {quoted(port)}; accepted: emulated, emulated:SEED such as emulated:7, a serial line"
+        )
     return None if emulated is None else int(emulated[1] or 0)
 
 
@@ -103,11 +105,16 @@ def measuring(options: argparse.Namespace, rig: Rig, seconds: float) -> Iterator
         """Let the person at the rig couple the joint or take it off; the rig is disarmed meanwhile."""
         if options.load != "both":
             return  # the option states the load, and nobody need be there
-        print(f"{'Couple' if loaded else 'Take off'} the revolute joint, then press Enter.", file=sys.stderr)
+        print(
+            f"{'Couple' if loaded else 'Take off'} the revolute joint, then press Enter.",
+            file=sys.stderr,
+        )
         try:
             input()
         except EOFError:
-            raise FailureError("nobody there to couple the joint; use --load none or --load joint") from None
+            raise FailureError(
+                "nobody there to couple the joint; use --load none or --load joint"
+            ) from None
         session.client.connect()
 
     couple: Callable[[bool], None] = ask
@@ -126,7 +133,9 @@ def measuring(options: argparse.Namespace, rig: Rig, seconds: float) -> Iterator
         resources.callback(port.close)
         session = Session(RigClient(port, rig), couple, None)
         try:
-            with tqdm(total=round(seconds, 1), unit="s", desc="ramps", disable=None, bar_format=_BAR) as session.bar:
+            with tqdm(
+                total=round(seconds, 1), unit="s", desc="ramps", disable=None, bar_format=_BAR
+            ) as session.bar:
                 session.client.connect()
                 if options.clear:
                     session.client.clear()
@@ -145,12 +154,17 @@ def readings_series(samples: list[Sample], rig: Rig) -> list[JointSeries]:
     stamps = np.array([round(sample.time * NANOSECONDS) for sample in samples], dtype=np.int64)
     ticks, counts, dac, adc = sample_columns(samples)
     position = counts * rig.angle_step
-    velocity = np.diff(position, prepend=position[0]) / (np.diff(ticks, prepend=ticks[0] - 1) * rig.tick)
+    velocity = np.diff(position, prepend=position[0]) / (
+        np.diff(ticks, prepend=ticks[0] - 1) * rig.tick
+    )
     state = position[:, None], velocity[:, None], rig.measured_torque(adc)[:, None]
     return [
         JointSeries("/friction_bench/joint_states", ("rig_motor",), stamps, *state),
         JointSeries(
-            "/friction_bench/joint_commands", ("rig_motor",), stamps, effort=rig.commanded_torque(dac)[:, None]
+            "/friction_bench/joint_commands",
+            ("rig_motor",),
+            stamps,
+            effort=rig.commanded_torque(dac)[:, None],
         ),
     ]
 
@@ -170,7 +184,9 @@ def refuse_fault(sample: Sample) -> None:
     """
     report = sample.report
     if report.fault != Fault.NONE or report.state == State.FAULT:
-        raise RigFaultError(f"the rig switched itself off: {fault_text(report.fault)}; find out why, then clear it")
+        raise RigFaultError(
+            f"the rig switched itself off: {fault_text(report.fault)}; find out why, then clear it"
+        )
 
 
 def wait_for_rest(client: RigClient) -> None:
@@ -203,7 +219,9 @@ def armed(client: RigClient) -> Iterator[None]:
     except BaseException:  # never leave with the power stage on
         with contextlib.suppress(RigError):  # a broken line carries no heartbeat either
             client.urgent_stop()
-        client.known_stops = client.stops  # the motion's own: the next command is not overtaken by it
+        client.known_stops = (
+            client.stops
+        )  # the motion's own: the next command is not overtaken by it
         raise
 
 

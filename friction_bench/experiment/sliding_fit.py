@@ -86,7 +86,9 @@ class RampsFit:
     def at_slope(self, slope: float) -> tuple[Array, Array]:
         """Return the source's f_c = m b / a, which is f_c + J a, and f_v = m / a, and their covariance, (2, 2)."""
         coulomb, viscous, inertia = self.values
-        from_values = np.array([[1.0, -inertia * slope / viscous**2, slope / viscous], [0.0, 1.0, 0.0]])
+        from_values = np.array(
+            [[1.0, -inertia * slope / viscous**2, slope / viscous], [0.0, 1.0, 0.0]]
+        )
         values = np.array([coulomb + inertia * slope / viscous, viscous])
         return values, from_values @ self.covariance @ from_values.T
 
@@ -158,13 +160,17 @@ class _Ramps:
         """Return the range of ln w_s, from the slowest velocity that a reading resolves."""
         record = self.windows[0].record
         slowest = record.angle_step / record.tick / 2.0
-        fastest = HIGHEST_VELOCITY * max(_speed(window, slice(-6, None, 5)) for window in self.windows)
+        fastest = HIGHEST_VELOCITY * max(
+            _speed(window, slice(-6, None, 5)) for window in self.windows
+        )
         return math.log(slowest), math.log(max(fastest, 2.0 * slowest))
 
     def residual(self, k: int, x: Array) -> Array:
         """Return the angles of a ramp less those of a model."""
         window = self.windows[k]
-        return np.asarray(window.angle - slide(window.time, window.torque, float(self.starts[k]), _shaft(x))[0])
+        return np.asarray(
+            window.angle - slide(window.time, window.torque, float(self.starts[k]), _shaft(x))[0]
+        )
 
     def problem(self, effect: tuple[float, float] | None = None) -> Problem:
         """Return the problem of all ramps.
@@ -178,9 +184,22 @@ class _Ramps:
         usual_kappa = USUAL_RISE * max(abs(float(self.level[1])), 1e-9)
         usual_T = min(max(2.5 * tick, 0.05 * longest), self.longest_transient / 2.0)
         start = np.array([*self.level, usual_T, 0.0, (low + high) / 2.0, 0.0])
-        spread = np.array([np.inf, np.inf, LONGEST * longest, usual_kappa, (high - low) / 2.0, EXPONENT_DEVIATION])
-        lower = np.array([-np.inf, -np.inf, SHORTEST * tick, 0.0, 2.0 * low - high, -3.0 * EXPONENT_DEVIATION])
-        upper = np.array([np.inf, np.inf, self.longest_transient, np.inf, 2.0 * high - low, 3.0 * EXPONENT_DEVIATION])
+        spread = np.array(
+            [np.inf, np.inf, LONGEST * longest, usual_kappa, (high - low) / 2.0, EXPONENT_DEVIATION]
+        )
+        lower = np.array(
+            [-np.inf, -np.inf, SHORTEST * tick, 0.0, 2.0 * low - high, -3.0 * EXPONENT_DEVIATION]
+        )
+        upper = np.array(
+            [
+                np.inf,
+                np.inf,
+                self.longest_transient,
+                np.inf,
+                2.0 * high - low,
+                3.0 * EXPONENT_DEVIATION,
+            ]
+        )
         used = slice(_KAPPA if effect is None else None)
         block = self.block
 
@@ -244,11 +263,15 @@ class _Ramps:
         def misfit(logarithm: float) -> float:
             ramps = trial(logarithm)
             halves = enumerate(self.windows)
-            return sum(ramps.alone(k, x, slice(window.time.size // 2, None)).misfit for k, window in halves)
+            return sum(
+                ramps.alone(k, x, slice(window.time.size // 2, None)).misfit for k, window in halves
+            )
 
         # Below the quantisation the likelihood is flat: the minimum is bracketed first.
         best = min(NOISE_RANGE, key=misfit)
-        return trial(float(minimize_scalar(misfit, bounds=(best - 2.0, best + 2.0), method="bounded").x))
+        return trial(
+            float(minimize_scalar(misfit, bounds=(best - 2.0, best + 2.0), method="bounded").x)
+        )
 
     def spread(self, x: Array) -> Array:
         """Return the standard deviations of alpha and beta from ramp to ramp of one slope, 0 without repeats.
@@ -332,15 +355,23 @@ def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
         problem = ramps.problem(ramps.speeds)  # what an effect may be makes the deviations greater
         x = np.concatenate([result.x, problem.start[_KAPPA:]])
     free = np.zeros(len(x), dtype=np.bool_)
-    covariance = deviations(replace(result, problem=problem, x=x, slopes=problem.model(x)[1], at_bound=free)).covariance
+    covariance = deviations(
+        replace(result, problem=problem, x=x, slopes=problem.model(x)[1], at_bound=free)
+    ).covariance
     alpha, beta, T = result.x[:_KAPPA].tolist()
     to_values = np.array(
-        [[-beta / alpha**2, 1.0 / alpha, 0.0], [-1.0 / alpha**2, 0.0, 0.0], [-T / alpha**2, 0.0, 1.0 / alpha]]
+        [
+            [-beta / alpha**2, 1.0 / alpha, 0.0],
+            [-1.0 / alpha**2, 0.0, 0.0],
+            [-T / alpha**2, 0.0, 1.0 / alpha],
+        ]
     )
     velocities = []
     asymptotes = []
     for k, window in enumerate(windows):
-        velocities.append(slide(window.time, window.torque, float(ramps.starts[k]), _shaft(result.x))[1])
+        velocities.append(
+            slide(window.time, window.torque, float(ramps.starts[k]), _shaft(result.x))[1]
+        )
         ramp_alpha, ramp_beta = ramps.level_of(k, result.x).tolist()
         a = window.record.slope * ramp_alpha
         asymptotes.append((a, ramp_beta + a * T))
@@ -365,5 +396,7 @@ def _with_effect(ramps: _Ramps) -> tuple[_Ramps, Fit]:
 
 def _trial(simple: Fit, effect: Fit) -> Trial:
     """Judge a Stribeck effect by the error of blocks that the fits did not see."""
-    gain, deviation = held_out_gain(effect.problem.block, held_out_squares(simple), held_out_squares(effect))
+    gain, deviation = held_out_gain(
+        effect.problem.block, held_out_squares(simple), held_out_squares(effect)
+    )
     return Trial(0, Part.STRIBECK, gain, deviation, "delta_s" if effect.at_bound[_KAPPA] else "")

@@ -48,10 +48,16 @@ _THREADS = 3
 class BenchParameters(NodeModel):
     """The node's parameters; rate of the line and ramp are the rig's where they are left out."""
 
-    port: Annotated[str, Field(description="Serial device, pyserial URL, or 'emulated'.")] = EMULATED
-    rig: Annotated[str, Field(description="Rig file: own path or a shipped file's name.")] = SHIPPED_RIG
+    port: Annotated[str, Field(description="Serial device, pyserial URL, or 'emulated'.")] = (
+        EMULATED
+    )
+    rig: Annotated[str, Field(description="Rig file: own path or a shipped file's name.")] = (
+        SHIPPED_RIG
+    )
     baud: Annotated[int, Field(ge=1200, le=1_000_000, description="Line rate.")]
-    seed: Annotated[int, Field(ge=0, le=2**31 - 1, description="Seed of the emulated rig's noise.")] = 0
+    seed: Annotated[
+        int, Field(ge=0, le=2**31 - 1, description="Seed of the emulated rig's noise.")
+    ] = 0
     ramp_slope: Annotated[
         float,
         Field(
@@ -82,11 +88,18 @@ class BenchParameters(NodeModel):
             raise ConfigError(f"parameter rig is {quoted(name)}; accepted: a text")
         rig = load_rig(resolve_config(name))
         ramps = rig.ramps
-        content = {"baud": rig.baud, "ramp_slope": ramps.slopes[0], "ramp_end_torque": ramps.end_torque, **given}
+        content = {
+            "baud": rig.baud,
+            "ramp_slope": ramps.slopes[0],
+            "ramp_end_torque": ramps.end_torque,
+            **given,
+        }
         torque = content["ramp_end_torque"]
         if isinstance(torque, float) and torque > rig.torque.dac_full_scale:
             most = f"{rig.torque.dac_full_scale:g}"
-            raise ConfigError(f"parameter ramp_end_torque is {torque:g}; accepted: a number in [0, {most}]")
+            raise ConfigError(
+                f"parameter ramp_end_torque is {torque:g}; accepted: a number in [0, {most}]"
+            )
         return content
 
 
@@ -98,7 +111,9 @@ class BenchNode:
 
     def __init__(self) -> None:
         with named_parameters():
-            self.node = node = Node("friction_bench", automatically_declare_parameters_from_overrides=True)
+            self.node = node = Node(
+                "friction_bench", automatically_declare_parameters_from_overrides=True
+            )
         own = NodeParameters(node)
         parameters = BenchParameters.of(own.values)
         own.declare(parameters)
@@ -136,7 +151,11 @@ class BenchNode:
         }
         self._services = [
             node.create_service(
-                Trigger, f"~/{name}", partial(_answer, job, done), callback_group=group, qos_profile=REQUEST_QOS
+                Trigger,
+                f"~/{name}",
+                partial(_answer, job, done),
+                callback_group=group,
+                qos_profile=REQUEST_QOS,
             )
             for name, (job, done, group) in jobs.items()
         ]
@@ -145,7 +164,10 @@ class BenchNode:
     def _check(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         try:
             BenchParameters.of(
-                {**parameter_values(self.node), **{parameter.name: parameter.value for parameter in parameters}}
+                {
+                    **parameter_values(self.node),
+                    **{parameter.name: parameter.value for parameter in parameters},
+                }
             )
         except Rx90Error as error:
             return SetParametersResult(successful=False, reason=str(error))
@@ -155,7 +177,9 @@ class BenchNode:
         previous = self._previous
         self._previous = sample
         if previous is None or sample.tick <= previous.tick:
-            self._epoch_ns = self.node.get_clock().now().nanoseconds - round(sample.time * NANOSECONDS)
+            self._epoch_ns = self.node.get_clock().now().nanoseconds - round(
+                sample.time * NANOSECONDS
+            )
             previous = sample
         scale = self.rig.angle_step
         elapsed = sample.time - previous.time
@@ -167,12 +191,16 @@ class BenchNode:
             effort=[self.rig.measured_torque(sample.report.adc)],
         )
         command = JointState(name=[JOINT], effort=[self.rig.commanded_torque(sample.report.dac)])
-        state.header.stamp = command.header.stamp = ros_time(self._epoch_ns + round(sample.time * NANOSECONDS))
+        state.header.stamp = command.header.stamp = ros_time(
+            self._epoch_ns + round(sample.time * NANOSECONDS)
+        )
         self._states.publish(state)
         self._commands.publish(command)
 
     def _ramp(self, client: RigClient) -> None:
-        client.start_ramp(*(self.node.get_parameter(name).value for name in ("ramp_slope", "ramp_end_torque")))
+        client.start_ramp(
+            *(self.node.get_parameter(name).value for name in ("ramp_slope", "ramp_end_torque"))
+        )
 
     def _submit(self, job: Callable[[RigClient], None]) -> None:
         future = self._link.submit(job)
@@ -215,7 +243,9 @@ class BenchNode:
         self._link.close()
 
 
-def _answer(job: Callable[[], None], done: str, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+def _answer(
+    job: Callable[[], None], done: str, _: Trigger.Request, response: Trigger.Response
+) -> Trigger.Response:
     """Do a service's job, and answer `done`, or with the job's error."""
     try:
         job()

@@ -110,7 +110,9 @@ class RigClient:
         self._sequence = 0
         self._sent_at = -1.0
         self._read_at = port.now()
-        self._listened = self._last_report_at = 0.0  # time spent listening, s, the clock of the answers' timeouts
+        self._listened = self._last_report_at = (
+            0.0  # time spent listening, s, the clock of the answers' timeouts
+        )
 
     @property
     def greeting(self) -> HelloReply:
@@ -165,7 +167,9 @@ class RigClient:
 
     def _write_stop(self) -> None:
         # A delimiter first: the frame before it on the line may have lost its own. Twice: one may be hit.
-        self.port.write(b"\0" + 2 * encode(Frame(Command.STOP, self._stop_sequence, b"")), first=True)
+        self.port.write(
+            b"\0" + 2 * encode(Frame(Command.STOP, self._stop_sequence, b"")), first=True
+        )
         self._sent_at = self.port.now()
 
     @property
@@ -192,7 +196,9 @@ class RigClient:
             RigRefusedError: if it speaks another protocol version.
         """
         self.hello = self.last = None
-        self.stopping = False  # HELLO takes the torque away too, and is repeated until it is answered
+        self.stopping = (
+            False  # HELLO takes the torque away too, and is repeated until it is answered
+        )
         end = self._listened + GREETING_TIMEOUT
         greet_at = self.port.now()
         while self._listened < end:
@@ -295,6 +301,8 @@ class RigClient:
         """Return the DAC code of a ramp's end."""
         limit = self.hello.torque_limit_code if self.hello is not None else CODES
         if not self.rig.commanded_torque(0.5) <= torque < self.rig.commanded_torque(limit + 0.5):
-            accepted = f"{self.rig.commanded_torque(1):.2g} to {self.rig.commanded_torque(limit):.3g} Nm"
+            accepted = (
+                f"{self.rig.commanded_torque(1):.2g} to {self.rig.commanded_torque(limit):.3g} Nm"
+            )
             raise RigInputError(f"end torque {torque:g} Nm; accepted by the firmware: {accepted}")
         return self.rig.end_code(torque)

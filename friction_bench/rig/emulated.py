@@ -45,11 +45,15 @@ def compile_core(sources: Path, library: Path, figures: Mapping[str, int]) -> No
     """
     compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
     if not compiler:
-        raise RigError("the emulated rig runs the real firmware and needs a C compiler: none found as cc or gcc")
+        raise RigError(
+            "the emulated rig runs the real firmware and needs a C compiler: none found as cc or gcc"
+        )
     command = [*compiler.split(), "-std=c11", "-O2", "-fPIC", "-shared", f"-I{sources / 'core'}"]
     command += [f"-D{name}={value}u" for name, value in figures.items()]
     command += [str(sources / name) for name in _SOURCES] + ["-o", str(library)]
-    done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=False)
+    done = subprocess.run(
+        command, capture_output=True, encoding="utf-8", errors="replace", check=False
+    )
     if done.returncode:
         reason = (done.stderr.strip().splitlines() or ["no message"])[0]
         raise RigError(f"the C compiler {compiler} refused the firmware: {reason}")
@@ -161,7 +165,9 @@ class EmulatedRig:
             if self._off_time and self.board.switched_on():
                 command *= 1.0 - self._off_time / SLICE
             self._edges = self.plant.advance(command, SLICE)
-            self._adc = min(CODES, round(self.plant.current_reading() / self.rig.torque.adc_full_scale * CODES))
+            self._adc = min(
+                CODES, round(self.plant.current_reading() / self.rig.torque.adc_full_scale * CODES)
+            )
             self.time += SLICE
 
 
@@ -220,7 +226,9 @@ class PtyRig:
                     link.unlink()
                 link.symlink_to(self.path)
             except OSError as error:
-                raise RigInputError(f"{link}: cannot point to the emulated rig ({error.strerror})") from error
+                raise RigInputError(
+                    f"{link}: cannot point to the emulated rig ({error.strerror})"
+                ) from error
         self._stop = threading.Event()
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="emulated rig", daemon=True)
@@ -251,7 +259,9 @@ class PtyRig:
         with contextlib.suppress(OSError):
             self.emulated.board.write(os.read(self._master, 4096))
         self.emulated.advance(seconds)
-        with contextlib.suppress(OSError):  # nobody reads: a full line loses bytes, as a real one does
+        with contextlib.suppress(
+            OSError
+        ):  # nobody reads: a full line loses bytes, as a real one does
             os.write(self._master, self.emulated.board.read())
 
     def close(self) -> None:
@@ -259,7 +269,11 @@ class PtyRig:
         self._stop.set()
         self._thread.join()  # however late: it must not write to another file that got the descriptor's number since
         # The link first: its target may soon be another program's pseudo-terminal.
-        if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self.path:
+        if (
+            self._link is not None
+            and self._link.is_symlink()
+            and str(self._link.readlink()) == self.path
+        ):
             self._link.unlink(missing_ok=True)  # unless another rig has taken the name over
         for descriptor in (self._slave, self._master):
             with contextlib.suppress(OSError):

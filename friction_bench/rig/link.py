@@ -11,7 +11,14 @@ from collections.abc import Callable
 from concurrent.futures import Future
 
 from friction_bench.rig.client import SWITCHED_ON, Port, RigClient, Sample
-from friction_bench.rig.messages import Fault, Report, RigError, RigLostError, RigResetError, fault_text
+from friction_bench.rig.messages import (
+    Fault,
+    Report,
+    RigError,
+    RigLostError,
+    RigResetError,
+    fault_text,
+)
 from friction_bench.rig.rig_file import Rig
 
 OWNER_SILENCE = 0.1
@@ -58,7 +65,9 @@ class RigLink:
         self._troubled_at = 0.0
         self._last_fault = Fault.NONE
         self._greeting = ""  # argument of `on_good` once the line is good
-        self._jobs: queue.Queue[tuple[Callable[[RigClient], None], Future[None], int]] = queue.Queue()
+        self._jobs: queue.Queue[tuple[Callable[[RigClient], None], Future[None], int]] = (
+            queue.Queue()
+        )
         self._jobs_lock = threading.Lock()  # a job is queued for a connection that there is
         self._closed = threading.Event()
         self._alive_at = time.monotonic()
@@ -77,7 +86,9 @@ class RigLink:
     def last(self) -> Report | None:
         """Return the latest report, None without a connection."""
         client = self.client
-        last = None if client is None else client.last  # once: the link's thread forgets it at a reset
+        last = (
+            None if client is None else client.last
+        )  # once: the link's thread forgets it at a reset
         return None if last is None else last.report
 
     @property
@@ -85,7 +96,9 @@ class RigLink:
         """Return the damaged frames and the lost reports of all connections."""
         client = self.client
         bad, lost = self._past
-        return (bad, lost) if client is None else (bad + client.bad_frames, lost + client.lost_reports)
+        return (
+            (bad, lost) if client is None else (bad + client.bad_frames, lost + client.lost_reports)
+        )
 
     def alive(self) -> None:
         """Say that the owner is alive; without it the heartbeats stop and the rig switches itself off."""
@@ -183,7 +196,9 @@ class RigLink:
                     before = self._last_fault
                     self._last_fault = fault
                     if fault and fault != before:
-                        self._on_trouble(f"the rig switched itself off: {fault_text(fault)}; clear and arm it")
+                        self._on_trouble(
+                            f"the rig switched itself off: {fault_text(fault)}; clear and arm it"
+                        )
                 self._watch_damage(client)
                 self._run_next_job(client)
             except RigResetError as error:  # the client has forgotten its greeting
@@ -224,6 +239,10 @@ class RigLink:
         # What disarmed the rig once must not do so again when it is armed; and one stop is enough, it is repeated.
         if fresh and len(times) >= DAMAGE_LIMIT:
             self._report("garbage on the line to the rig; it is disarmed", _DISTURBED)
-            if client.last is not None and client.last.report.state in SWITCHED_ON and not client.stopping:
+            if (
+                client.last is not None
+                and client.last.report.state in SWITCHED_ON
+                and not client.stopping
+            ):
                 client.urgent_stop()
                 client.known_stops = client.stops

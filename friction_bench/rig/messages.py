@@ -251,7 +251,9 @@ class HelloReply(NamedTuple):
         """Return the processor and the reset's cause in words."""
         causes = tuple(cause.name.lower().replace("_", "-") for cause in ResetCause)
         pairs = ((PROCESSORS, self.processor), (causes, self.reset_cause))
-        processor, cause = (names[value] if value < len(names) else f"number {value}" for names, value in pairs)
+        processor, cause = (
+            names[value] if value < len(names) else f"number {value}" for names, value in pairs
+        )
         return f"processor {processor}, reset cause {cause}"
 
 
@@ -288,7 +290,9 @@ def parse_hello(frame: Frame) -> HelloReply | None:
     # Of another version only the first byte is known, which is the version.
     hello = HelloReply(*_HELLO.unpack(frame.payload[: _HELLO.size].ljust(_HELLO.size, b"\0")))
     unit = 1e-4 if hello.built & _COARSE else 1e-5
-    return hello._replace(dac_full_scale=hello.dac_full_scale * unit, adc_full_scale=hello.adc_full_scale * unit)
+    return hello._replace(
+        dac_full_scale=hello.dac_full_scale * unit, adc_full_scale=hello.adc_full_scale * unit
+    )
 
 
 def parse_report(frame: Frame) -> Report | None:

@@ -50,10 +50,16 @@ def shaft_of(rig: Rig, loaded: bool) -> Shaft:
     """Return the inertia and friction at the motor of an emulated rig, without the friction of a LuGre joint."""
     p = rig.emulation
     if p is None:
-        raise RigInputError(f"{rig.file}: has no section 'emulation', so this rig cannot be emulated")
+        raise RigInputError(
+            f"{rig.file}: has no section 'emulation', so this rig cannot be emulated"
+        )
     load_inertia = p.load_inertia + (p.joint_inertia if loaded else 0.0)
     inertia = p.motor.rotor_inertia + load_inertia / (rig.gear.ratio**2 * rig.gear.efficiency)
-    viscous = p.motor_friction.viscous * (1.0 + p.motor_friction.warming) if loaded else p.motor_friction.viscous
+    viscous = (
+        p.motor_friction.viscous * (1.0 + p.motor_friction.warming)
+        if loaded
+        else p.motor_friction.viscous
+    )
     if not loaded or not isinstance(p.joint, JointFriction):
         return Shaft(inertia, p.motor_friction.coulomb, viscous)
     coulomb = p.motor_friction.coulomb + p.joint.coulomb / rig.joint_scale
@@ -106,7 +112,9 @@ def joint_record(element: FrictionElement, gear_ratio: float, period: float, see
         period: for which the torque is held, s.
         seed: of the scatter.
     """
-    record = RigJoint(element_arrays((element,)), np.zeros(1, parts_dtype(1)), np.zeros(1, parts_state_dtype(1)))
+    record = RigJoint(
+        element_arrays((element,)), np.zeros(1, parts_dtype(1)), np.zeros(1, parts_state_dtype(1))
+    )
     fill_parts(record.parts[0], (element,), (gear_ratio,), period, seed)
     start(record)
     return record
@@ -149,10 +157,14 @@ def turn_with_joint(
     still = 0.0 * load(state.transmitted, 1)
     for _ in range(BRISTLE_STEPS):
         of_joint = still + angle / ratio, still + speed / ratio
-        deflections, friction = parts_step(element, parts, state, still + z, of_joint[0], of_joint[1], step, 1)
+        deflections, friction = parts_step(
+            element, parts, state, still + z, of_joint[0], of_joint[1], step, 1
+        )
         z = lane(deflections, 0)
         before = speed
-        angle, speed = turn(angle, speed, torque - lane(friction, 0) / (ratio * efficiency), shaft, step)
+        angle, speed = turn(
+            angle, speed, torque - lane(friction, 0) / (ratio * efficiency), shaft, step
+        )
         state.transmitted[0] = load_inertia * (speed - before) / (ratio * step)
         advance_parts(parts, state, load(state.transmitted, 1), step, 1)
     tick_parts(parts, state, load(state.transmitted, 1), dt, 1)
@@ -175,7 +187,11 @@ class RigPlant:
         self._joint: RigJoint | None = None
         if isinstance(rig.emulation.joint, FrictionElement):
             self._joint = joint_record(rig.emulation.joint, rig.gear.ratio, SLICE, seed)
-        self._gear = rig.gear.ratio, rig.gear.efficiency, rig.emulation.load_inertia + rig.emulation.joint_inertia
+        self._gear = (
+            rig.gear.ratio,
+            rig.gear.efficiency,
+            rig.emulation.load_inertia + rig.emulation.joint_inertia,
+        )
         self.angle = self.torque = 0.0
         self.load(False)
         self._rng = np.random.default_rng(seed)
@@ -217,7 +233,11 @@ class RigPlant:
         motor = self.parameters.motor
         deviation = self.parameters.amplifier.torque_noise
         noise = deviation * math.sqrt(1e-3 / dt) * next(self._noise) if deviation else 0.0
-        highest = (motor.supply - motor.torque_constant * self.speed) / motor.resistance * motor.torque_constant
+        highest = (
+            (motor.supply - motor.torque_constant * self.speed)
+            / motor.resistance
+            * motor.torque_constant
+        )
         return max(0.0, min(self._gain * self._ramp_gain * command + noise, highest))
 
     def advance(self, command: float, dt: float) -> int:
@@ -226,7 +246,12 @@ class RigPlant:
         shaft = self._shafts[self.loaded]
         if self.loaded and self._joint is not None:
             self.angle, self.speed, self.bristle = turn_with_joint(
-                (self.angle, self.speed, self.bristle), self.torque, shaft, self._gear, self._joint, dt
+                (self.angle, self.speed, self.bristle),
+                self.torque,
+                shaft,
+                self._gear,
+                self._joint,
+                dt,
             )
         else:
             self.angle, self.speed = turn(self.angle, self.speed, self.torque, shaft, dt)

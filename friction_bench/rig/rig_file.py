@@ -46,7 +46,9 @@ class LuGreJoint(FileModel):
     def _check_parts(self) -> LuGreJoint:
         # A run on the rig lasts minutes, and its joint does not warm in them; temperatures are a robot's.
         if self.lugre.temperature is not None:
-            raise ValueError("lugre.temperature: the emulated rig cannot hold this part; accepted: left out")
+            raise ValueError(
+                "lugre.temperature: the emulated rig cannot hold this part; accepted: left out"
+            )
         return self
 
 
@@ -63,12 +65,20 @@ class Amplifier(FileModel):
     """The amplifier."""
 
     gain_error: Annotated[
-        float, quantity("1", "Relative standard deviation of the gain, drawn once per rig.", ge=0.0, le=0.2)
+        float,
+        quantity(
+            "1", "Relative standard deviation of the gain, drawn once per rig.", ge=0.0, le=0.2
+        ),
     ]
-    torque_noise: Annotated[float, quantity("Nm", "Standard deviation of 1 ms means of the torque.", ge=0.0)]
+    torque_noise: Annotated[
+        float, quantity("Nm", "Standard deviation of 1 ms means of the torque.", ge=0.0)
+    ]
     adc_noise: Annotated[float, quantity("Nm", "Standard deviation of a reading.", ge=0.0)]
     ramp_error: Annotated[
-        float, quantity("1", "Relative standard deviation of the torque, drawn for each ramp.", ge=0.0, le=0.2)
+        float,
+        quantity(
+            "1", "Relative standard deviation of the torque, drawn for each ramp.", ge=0.0, le=0.2
+        ),
     ] = 0.0
     off_time: Annotated[
         float,
@@ -88,7 +98,12 @@ class MotorFriction(FileModel):
     viscous: Annotated[float, quantity("Nm s/rad", "Viscous friction.", gt=0.0)]
     warming: Annotated[
         float,
-        quantity("1", "Relative change of the viscous friction with the joint coupled: a warm motor.", ge=-0.5, le=0.5),
+        quantity(
+            "1",
+            "Relative change of the viscous friction with the joint coupled: a warm motor.",
+            ge=-0.5,
+            le=0.5,
+        ),
     ] = 0.0
 
 
@@ -97,11 +112,16 @@ class Emulation(FileModel):
 
     motor: Motor
     amplifier: Amplifier
-    load_inertia: Annotated[float, quantity("kg m^2", "Inertia of the load shaft alone, load side.", ge=0.0)]
-    joint_inertia: Annotated[float, quantity("kg m^2", "Inertia that the joint adds, load side.", ge=0.0)]
+    load_inertia: Annotated[
+        float, quantity("kg m^2", "Inertia of the load shaft alone, load side.", ge=0.0)
+    ]
+    joint_inertia: Annotated[
+        float, quantity("kg m^2", "Inertia that the joint adds, load side.", ge=0.0)
+    ]
     motor_friction: MotorFriction
     joint_friction: Annotated[
-        JointFriction | LuGreJoint, Field(discriminator="model", description="Friction of the joint, load side.")
+        JointFriction | LuGreJoint,
+        Field(discriminator="model", description="Friction of the joint, load side."),
     ]
     joint_spread: Annotated[
         float,
@@ -116,7 +136,11 @@ class Emulation(FileModel):
     @model_validator(mode="after")
     def _check_spread(self) -> Emulation:
         if isinstance(self.joint_friction, LuGreJoint) and self.joint_spread:
-            raise refusal("joint_spread", self.joint_spread, "0, because a LuGre element has a scatter of its own")
+            raise refusal(
+                "joint_spread",
+                self.joint_spread,
+                "0, because a LuGre element has a scatter of its own",
+            )
         return self
 
     @property
@@ -138,7 +162,9 @@ class RampPlan(FileModel):
     end_torque: Annotated[float, quantity("Nm", "End torque without the joint.", gt=0.0)]
     end_torque_loaded: Annotated[float, quantity("Nm", "End torque with the joint.", gt=0.0)]
     repeats: Annotated[int, Field(ge=1, le=1000, description="Ramps of each slope.")]
-    hold: Annotated[float, quantity("s", "How long the firmware holds the end torque.", ge=0.0, le=5.0)] = 0.0
+    hold: Annotated[
+        float, quantity("s", "How long the firmware holds the end torque.", ge=0.0, le=5.0)
+    ] = 0.0
 
     def end(self, loaded: bool) -> float:
         """Return the end torque under this load, Nm."""
@@ -154,7 +180,9 @@ class Gear(FileModel):
 
     ratio: Annotated[float, quantity("1", "Motor turns per turn of the load shaft.", gt=0.0)]
     efficiency: Annotated[float, quantity("1", "Efficiency.", gt=0.0, le=1.0)]
-    efficiency_uncertainty: Annotated[float, quantity("1", "Standard uncertainty of the efficiency.", ge=0.0, le=0.5)]
+    efficiency_uncertainty: Annotated[
+        float, quantity("1", "Standard uncertainty of the efficiency.", ge=0.0, le=0.5)
+    ]
 
 
 class TorqueScales(FileModel):
@@ -185,14 +213,18 @@ class TorqueScales(FileModel):
 class Limits(FileModel):
     """What stops the rig."""
 
-    load_travel: Annotated[float, quantity("1", "Turns of the load shaft that one arming allows.", gt=0.0)]
+    load_travel: Annotated[
+        float, quantity("1", "Turns of the load shaft that one arming allows.", gt=0.0)
+    ]
     speed: Annotated[float, quantity("rad/s", "Highest speed of the motor.", gt=0.0)]
 
 
 class RigFile(FileModel):
     """A friction rig: scales, limits and default ramps; motor side unless a key says load."""
 
-    counts_per_revolution: Annotated[int, Field(ge=1, le=65535, description="Encoder counts per turn of the motor.")]
+    counts_per_revolution: Annotated[
+        int, Field(ge=1, le=65535, description="Encoder counts per turn of the motor.")
+    ]
     tick_us: Annotated[int, quantity("us", "Period of the firmware's reports.", ge=1000, le=65535)]
     baud: Annotated[int, quantity("baud", "Rate of the serial line.", ge=1200, le=1_000_000)]
     gear: Gear
@@ -228,9 +260,16 @@ class Rig(RigFile):
         """Return the figures that the firmware of an emulated rig is built for, where they are not the shipped ones."""
         figures: dict[str, int] = {}
         if self.torque.limit_lifted:
-            scales = {"DAC_FULL_SCALE": self.torque.dac_full_scale, "ADC_FULL_SCALE": self.torque.adc_full_scale}
+            scales = {
+                "DAC_FULL_SCALE": self.torque.dac_full_scale,
+                "ADC_FULL_SCALE": self.torque.adc_full_scale,
+            }
             figures |= {name: round(scale * 1e4) for name, scale in scales.items()}
-            figures |= {"SCALE_UNIT": 100, "TORQUE_LIMIT_CODE": HIGHEST_END, "CURRENT_LIMIT_CODE": CODES - 1}
+            figures |= {
+                "SCALE_UNIT": 100,
+                "TORQUE_LIMIT_CODE": HIGHEST_END,
+                "CURRENT_LIMIT_CODE": CODES - 1,
+            }
         if self.ramps.hold:
             figures["HOLD_TICKS"] = self.hold_ticks
         if self.emulation is not None and self.emulation.amplifier.off_time:
@@ -250,7 +289,9 @@ class Rig(RigFile):
     @property
     def joint_scale_uncertainty(self) -> float:
         """Return the relative standard uncertainty of all torques at the joint: calibrated scale and efficiency."""
-        return math.hypot(self.torque.scale_uncertainty, self.gear.efficiency_uncertainty / self.gear.efficiency)
+        return math.hypot(
+            self.torque.scale_uncertainty, self.gear.efficiency_uncertainty / self.gear.efficiency
+        )
 
     @property
     def joint_side_reason(self) -> str:
@@ -280,7 +321,9 @@ class Rig(RigFile):
         unit = self.slope_of_step(1)
         step = round(slope / unit) if math.isfinite(slope) else 0
         if not 1 <= step <= MAX_RAMP_STEP:
-            raise RigInputError(f"slope {slope:g} Nm/s; accepted: {unit:.2g} to {MAX_RAMP_STEP * unit:.3g} Nm/s")
+            raise RigInputError(
+                f"slope {slope:g} Nm/s; accepted: {unit:.2g} to {MAX_RAMP_STEP * unit:.3g} Nm/s"
+            )
         return step
 
     def slope_of_step(self, step: int) -> float:
@@ -298,15 +341,33 @@ class Rig(RigFile):
         pairs: list[tuple[str, float, float]] = [
             ("counts_per_revolution", self.counts_per_revolution, hello.counts_per_revolution),
             ("tick_us", self.tick_us, hello.tick_us),
-            ("dac_full_scale", round(self.torque.dac_full_scale, 5), round(hello.dac_full_scale, 5)),
-            ("adc_full_scale", round(self.torque.adc_full_scale, 5), round(hello.adc_full_scale, 5)),
+            (
+                "dac_full_scale",
+                round(self.torque.dac_full_scale, 5),
+                round(hello.dac_full_scale, 5),
+            ),
+            (
+                "adc_full_scale",
+                round(self.torque.adc_full_scale, 5),
+                round(hello.adc_full_scale, 5),
+            ),
             ("ramps.hold, in ticks,", self.hold_ticks, hello.hold_ticks),
         ]
-        if self.emulation is not None:  # the file of a rig that cannot be emulated does not contain it
-            pairs.append(("emulation.amplifier.off_time > 0", self.emulation.amplifier.off_time > 0.0, hello.pulsed))
+        if (
+            self.emulation is not None
+        ):  # the file of a rig that cannot be emulated does not contain it
+            pairs.append(
+                (
+                    "emulation.amplifier.off_time > 0",
+                    self.emulation.amplifier.off_time > 0.0,
+                    hello.pulsed,
+                )
+            )
         for name, expected, firmware in pairs:
             if firmware != expected:
-                raise RigInputError(f"{self.file}: {name} is {expected}, the rig's firmware has {firmware}")
+                raise RigInputError(
+                    f"{self.file}: {name} is {expected}, the rig's firmware has {firmware}"
+                )
 
 
 def load_rig(path: Path) -> Rig:

@@ -40,13 +40,17 @@ class SerialPort:
         self.url = url
         self._lock = threading.Lock()
         try:
-            self._serial = serial.serial_for_url(url, baudrate=baud, timeout=_READ_SLICE, do_not_open=True)
+            self._serial = serial.serial_for_url(
+                url, baudrate=baud, timeout=_READ_SLICE, do_not_open=True
+            )
             if "://" not in url:
                 self._serial.exclusive = True
             self._serial.write_timeout = WRITE_TIMEOUT
             self._serial.open()
         except _FAILURES as error:
-            kind = RigInputError if type(error) is ValueError else RigLostError  # no URL that pyserial knows
+            kind = (
+                RigInputError if type(error) is ValueError else RigLostError
+            )  # no URL that pyserial knows
             raise kind(f"{url}: cannot be opened ({_reason(error)})") from error
 
     def now(self) -> float:
@@ -95,7 +99,9 @@ class SerialPort:
             RigLostError: if the line is broken.
         """
         end = self.now() + timeout
-        with self._lost_while("reading", TypeError):  # TypeError: closed by another thread meanwhile
+        with self._lost_while(
+            "reading", TypeError
+        ):  # TypeError: closed by another thread meanwhile
             while True:
                 data = self._serial.read(max(1, self._serial.in_waiting))
                 if data or self.now() >= end:

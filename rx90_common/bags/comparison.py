@@ -186,7 +186,13 @@ def compare_bags(
     shift = time_shift(scope.align, first, second)
     second = second.moved(shift)
     topics = sorted({*first.series, *second.series})
-    joints = {name for bag in (first, second) for sets in bag.series.values() for part in sets for name in part.names}
+    joints = {
+        name
+        for bag in (first, second)
+        for sets in bag.series.values()
+        for part in sets
+        for name in part.names
+    }
     tolerances.check(topics, joints)
     results = []
     for topic in topics:
@@ -198,7 +204,9 @@ def compare_bags(
             where = "second" if a is None else "first"
             results.append(_incomparable(topic, f"only the {where} bag has messages of it"))
     if not results:
-        raise BagError(f"neither {plain(first.path)} nor {plain(second.path)} has a JointState message in the window")
+        raise BagError(
+            f"neither {plain(first.path)} nor {plain(second.path)} has a JointState message in the window"
+        )
     others = {topic.name for topic in (*first.topics, *second.topics) if not topic.is_joint_state}
     return BagComparison(first.path, second.path, tuple(results), tuple(sorted(others)), shift)
 
@@ -217,16 +225,27 @@ def compare_series(
     """Compare two series as `compare_bags` does, aligned on stamps and joint names."""
     tolerances = tolerances or Tolerances()
     scope = scope or Scope()
-    check_type(a=(a, JointSeries), b=(b, JointSeries), tolerances=(tolerances, Tolerances), scope=(scope, Scope))
+    check_type(
+        a=(a, JointSeries),
+        b=(b, JointSeries),
+        tolerances=(tolerances, Tolerances),
+        scope=(scope, Scope),
+    )
     a = scope.cut(a)
     b = scope.cut(b)
     joints = tuple(name for name in a.names if name in b.names)
     if not joints:
-        return _incomparable(a.topic, f"no joint in common: {listed(a.names)} against {listed(b.names)}")
+        return _incomparable(
+            a.topic, f"no joint in common: {listed(a.names)} against {listed(b.names)}"
+        )
     if not np.isin(a.stamp_ns, b.stamp_ns).any():
-        return _incomparable(a.topic, "no stamp in common; bags that began at other times can be aligned")
+        return _incomparable(
+            a.topic, "no stamp in common; bags that began at other times can be aligned"
+        )
     alignment = align(a, b)
-    reasons = _only_in("first", a, b, alignment.a, scope) + _only_in("second", b, a, alignment.b, scope)
+    reasons = _only_in("first", a, b, alignment.a, scope) + _only_in(
+        "second", b, a, alignment.b, scope
+    )
     fields = [field for field in a.fields if field in b.fields]
     if "effort" in fields and a.units["effort"] != b.units["effort"]:
         fields.remove("effort")
@@ -239,7 +258,9 @@ def compare_series(
             values_a = a.fields[field][alignment.rows_a, a.names.index(joint)]
             values_b = b.fields[field][alignment.rows_b, b.names.index(joint)]
             unit = a.units[field]
-            values.append(_difference(joint, field, unit, values_a, values_b, alignment.stamp_ns, tolerance))
+            values.append(
+                _difference(joint, field, unit, values_a, values_b, alignment.stamp_ns, tolerance)
+            )
     verdict = Verdict.DIFFERS if reasons or any(value.beyond for value in values) else Verdict.SAME
     return TopicComparison(
         a.topic, joints, len(alignment.stamp_ns), alignment.range_ns, alignment.a, alignment.b, tuple(values),
@@ -247,7 +268,9 @@ def compare_series(
     )  # fmt: skip
 
 
-def _only_in(where: str, series: JointSeries, compared: JointSeries, side: Side, scope: Scope) -> list[str]:
+def _only_in(
+    where: str, series: JointSeries, compared: JointSeries, side: Side, scope: Scope
+) -> list[str]:
     """Return what a series has and the one that it is compared with lacks, in words."""
     lacking = [name for name in series.names if name not in compared.names]
     lacking += [field for field in series.fields if field not in compared.fields]
@@ -278,7 +301,9 @@ def _difference(
         at_ns = int(stamp_ns[largest])
         rms = maximum * float(np.sqrt(np.sum((distance / maximum) ** 2) / finite.sum()))
     not_finite = int((beyond & ~finite).sum())
-    return ValueDifference(joint, field, unit, maximum, at_ns, rms, tolerance, int(beyond.sum()), not_finite)
+    return ValueDifference(
+        joint, field, unit, maximum, at_ns, rms, tolerance, int(beyond.sum()), not_finite
+    )
 
 
 def _incomparable(topic: str, reason: str) -> TopicComparison:
@@ -324,7 +349,9 @@ def _keys(series: JointSeries) -> tuple[NDArray[np.intp], NDArray[np.void]]:
     """Return the rows that are no repetitions, by stamp, and their stamps and numbers among those with the same."""
     rows = np.arange(len(series.stamp_ns))
     if len(np.unique(series.stamp_ns)) < len(rows):
-        bits = np.column_stack([series.stamp_ns, *(values.view(np.int64) for values in series.fields.values())])
+        bits = np.column_stack(
+            [series.stamp_ns, *(values.view(np.int64) for values in series.fields.values())]
+        )
         rows = np.sort(np.unique(bits, axis=0, return_index=True)[1])
     rows = rows[np.argsort(series.stamp_ns[rows], kind="stable")]
     keys = np.zeros(len(rows), dtype=_KEY)

@@ -50,13 +50,17 @@ def export_bag(
     if kind is None:
         kind = output.suffix.lower() or ".csv"
     if kind not in FORMATS:
-        raise BagError(f"{plain(output)}: the suffix says the format; accepted: {listed(FORMATS)}, or none")
+        raise BagError(
+            f"{plain(output)}: the suffix says the format; accepted: {listed(FORMATS)}, or none"
+        )
     write = FORMATS[kind]
     read = read_joint_bag(path, topics, progress, mapping, all_there=True)
     tables = [read.one(topic) for topic, sets in read.series.items() if sets or topics is not None]
     if single and len(tables) > 1:
         topics = [series.topic for series in tables]
-        raise BagError(f"{plain(output)} would hold {listed(topics)}; accepted: one topic in a file, more in a folder")
+        raise BagError(
+            f"{plain(output)} would hold {listed(topics)}; accepted: one topic in a file, more in a folder"
+        )
     with named_at_the_end(output) as folder:
         target = folder / output.name
         if single:
@@ -75,7 +79,9 @@ def _write_csv(path: Path, series: JointSeries) -> None:
     """
     from pyarrow.csv import WriteOptions, write_csv  # takes a while
 
-    times = [f"{stamp // NANOSECONDS}.{stamp % NANOSECONDS:09d}" for stamp in series.stamp_ns.tolist()]
+    times = [
+        f"{stamp // NANOSECONDS}.{stamp % NANOSECONDS:09d}" for stamp in series.stamp_ns.tolist()
+    ]
     table = _table(series, {"time [s]": times})
     path.with_suffix(".yaml").write_text(exported_mapping(series), encoding="utf-8")
     with path.open("w", encoding="utf-8", newline="") as file:
@@ -87,7 +93,11 @@ def _write_csv(path: Path, series: JointSeries) -> None:
 def _write_parquet(path: Path, series: JointSeries) -> None:
     from pyarrow.parquet import write_table  # takes a while
 
-    write_table(_table(series, {_STAMP: series.stamp_ns, "time [s]": series.time}), path, write_page_checksum=True)
+    write_table(
+        _table(series, {_STAMP: series.stamp_ns, "time [s]": series.time}),
+        path,
+        write_page_checksum=True,
+    )
 
 
 def _table(series: JointSeries, columns: dict[str, Any]) -> pa.Table:
@@ -103,10 +113,17 @@ def _table(series: JointSeries, columns: dict[str, Any]) -> pa.Table:
 
 def _write_npz(path: Path, series: JointSeries) -> None:
     """Write arrays of names that MATLAB takes, too, such as velocity_rad_s (n, joints); and the names of the joints."""
-    arrays: dict[str, Any] = {"names": np.array(series.names), _STAMP: series.stamp_ns, "time [s]": series.time}
+    arrays: dict[str, Any] = {
+        "names": np.array(series.names),
+        _STAMP: series.stamp_ns,
+        "time [s]": series.time,
+    }
     arrays |= {series.quantities[field]: values for field, values in series.fields.items()}
     with path.open("wb") as file:
-        np.savez(file, **{re.sub(r"\W+", "_", name).strip("_"): values for name, values in arrays.items()})
+        np.savez(
+            file,
+            **{re.sub(r"\W+", "_", name).strip("_"): values for name, values in arrays.items()},
+        )
 
 
 FORMATS: Final[Mapping[str, Callable[[Path, JointSeries], None]]] = {

@@ -44,7 +44,9 @@ class SeriesBuilder:
         deserialize: the general path, by rosbags; returns an object with the message's fields.
     """
 
-    def __init__(self, topic: BagTopic, effort_units: Mapping[str, str], deserialize: Callable[[bytes], Any]) -> None:
+    def __init__(
+        self, topic: BagTopic, effort_units: Mapping[str, str], deserialize: Callable[[bytes], Any]
+    ) -> None:
         self._topic = topic.name
         self._effort_unit = effort_units.get(topic.name, "")
         self._deserialize = deserialize
@@ -73,12 +75,19 @@ class SeriesBuilder:
             if self._times:
                 stamp = np.array(self._times, dtype=np.int64)[place]
             arrays = {  # one after the other: of a long bag all of them twice would be a lot of memory
-                field: np.concatenate([part.values[:, k] for part in parts])[order] for k, field in enumerate(fields)
+                field: np.concatenate([part.values[:, k] for part in parts])[order]
+                for k, field in enumerate(fields)
             }
-            built.append(JointSeries(self._topic, names, stamp[order], **arrays, effort_unit=self._effort_unit))
+            built.append(
+                JointSeries(
+                    self._topic, names, stamp[order], **arrays, effort_unit=self._effort_unit
+                )
+            )
         return built
 
-    def _keep(self, content: _Content, place: NDArray[np.intp], stamp_ns: Int64Array, values: Array) -> None:
+    def _keep(
+        self, content: _Content, place: NDArray[np.intp], stamp_ns: Int64Array, values: Array
+    ) -> None:
         """Keep messages with those of the same joints, in the order of joints of the first one."""
         first, parts = self._sets.setdefault(frozenset(content.names), (content, []))
         if content.fields != first.fields:
@@ -100,7 +109,9 @@ class SeriesBuilder:
             if messages[rows[0]][:ENCAPSULATION] == self._beginning:
                 message = self._deserialize(messages[rows[0]])
                 content, _, _ = self._content(message)
-                block = np.frombuffer(b"".join([messages[row] for row in rows]), np.uint8).reshape(-1, size)
+                block = np.frombuffer(b"".join([messages[row] for row in rows]), np.uint8).reshape(
+                    -1, size
+                )
                 fixed, numbers = _places(message.header.frame_id, content)
                 fits = (block[:, fixed] == block[0, fixed]).all(axis=1)
                 values = np.take(block[fits], numbers, axis=1).view("<f8")
@@ -113,13 +124,21 @@ class SeriesBuilder:
     def _content(self, message: Any) -> tuple[_Content, Int64Array, Array]:
         """Return the content of a message, its stamp and its numbers."""
         names = tuple(message.name)
-        arrays = {"position": message.position, "velocity": message.velocity, "effort": message.effort}
+        arrays = {
+            "position": message.position,
+            "velocity": message.velocity,
+            "effort": message.effort,
+        }
         if not names or len(set(names)) != len(names):
-            raise BagError(f"{self._topic}: joint names are {quoted(list(names))}; accepted: one or more, each once")
+            raise BagError(
+                f"{self._topic}: joint names are {quoted(list(names))}; accepted: one or more, each once"
+            )
         for field, array in arrays.items():
             if len(array) not in (0, len(names)):
                 numbers = f"{counted(len(array), 'number')} in {field}"
-                raise BagError(f"{self._topic}: {numbers} for {counted(len(names), 'joint')}; accepted: one for each")
+                raise BagError(
+                    f"{self._topic}: {numbers} for {counted(len(names), 'joint')}; accepted: one for each"
+                )
         content = _Content(names, tuple(field for field, array in arrays.items() if len(array)))
         values = np.concatenate([np.asarray(array, dtype=np.float64) for array in arrays.values()])
         return content, np.array([message_time_ns(message.header.stamp)]), values
@@ -132,7 +151,9 @@ def _places(frame_id: str, content: _Content) -> tuple[list[int], list[int]]:
     """
     fixed = list(range(ENCAPSULATION))
     numbers: list[int] = []
-    texts = [len(text.encode()) + 5 for text in (frame_id, *content.names)]  # a length before, a NUL behind
+    texts = [
+        len(text.encode()) + 5 for text in (frame_id, *content.names)
+    ]  # a length before, a NUL behind
     parts = [(size, 4, fixed) for size in (texts[0], 4, *texts[1:])]
     for field in FIELDS:
         parts.append((4, 4, fixed))

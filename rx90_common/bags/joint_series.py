@@ -45,7 +45,9 @@ class JointSeries:
 
     def __post_init__(self) -> None:
         if len(set(self.names)) != len(self.names):
-            raise BagError(f"{self.topic}: joint names {', '.join(self.names)}; accepted: each name once")
+            raise BagError(
+                f"{self.topic}: joint names {', '.join(self.names)}; accepted: each name once"
+            )
         if self.stamp_ns.ndim != 1 or self.stamp_ns.dtype != np.int64:
             found = f"{self.stamp_ns.dtype} of shape {self.stamp_ns.shape}"
             raise BagError(f"{self.topic}: stamp_ns is {found}; accepted: int64 (n,)")
@@ -91,7 +93,11 @@ class JointSeries:
         """
         for name in names:
             if name not in self.names:
-                raise BagError(f"{self.topic}: no joint {quoted(name)}; there are {', '.join(self.names)}")
+                raise BagError(
+                    f"{self.topic}: no joint {quoted(name)}; there are {', '.join(self.names)}"
+                )
         columns = [self.names.index(name) for name in names]
-        fields: dict[str, Any] = {f: np.ascontiguousarray(values[:, columns]) for f, values in self.fields.items()}
+        fields: dict[str, Any] = {
+            f: np.ascontiguousarray(values[:, columns]) for f, values in self.fields.items()
+        }
         return replace(self, names=tuple(names), **fields)

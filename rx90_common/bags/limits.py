@@ -53,7 +53,9 @@ def check_length(noun: str, length: int, most: int) -> None:
 
 def check_whole(path: Path, noun: str, length: int, factor: int = _MAX_WHOLE_FACTOR) -> None:
     """Refuse a file whose parts together would unpack to far more than its size."""
-    check_length(f"its {noun} together", length, max(_MAX_WHOLE_BYTES, factor * path.stat().st_size))
+    check_length(
+        f"its {noun} together", length, max(_MAX_WHOLE_BYTES, factor * path.stat().st_size)
+    )
 
 
 def check_arrays(path: Path, length: int) -> None:
@@ -71,7 +73,9 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
         with zipfile.ZipFile(path) as archive:
             check_arrays(path, sum(member.file_size for member in archive.infolist()))
         with np.errstate(invalid="ignore"), np.load(path, allow_pickle=False) as content:
-            return {name: values for name, values in content.items() if isinstance(values, np.ndarray)}
+            return {
+                name: values for name, values in content.items() if isinstance(values, np.ndarray)
+            }
 
 
 def unpack_file(source: Path, target: Path) -> None:
@@ -98,5 +102,7 @@ def unpack_message(content: bytes) -> bytes:
     with library_errors("a compressed message: "):
         data = frame.decompress(content, MAX_MESSAGE_BYTES)
     if not frame.eof:
-        raise DamagedError(f"a compressed message is cut off, or longer than {MAX_MESSAGE_BYTES:,} bytes")
+        raise DamagedError(
+            f"a compressed message is cut off, or longer than {MAX_MESSAGE_BYTES:,} bytes"
+        )
     return data

@@ -30,7 +30,9 @@ from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 
 _LAST_NS: Final = 2**31 * NANOSECONDS  # stamps of ROS end there
-_LARGEST: Final = 1e9  # rad, rad/s, Nm or A: beyond any joint, while a damaged number may be as large
+_LARGEST: Final = (
+    1e9  # rad, rad/s, Nm or A: beyond any joint, while a damaged number may be as large
+)
 _NUMBER_BYTES = 8
 _LOOKED_AT = 200  # lines, by which delimiter, decimal sign and header are found out
 _TOLD = 20  # corrupt lines
@@ -57,7 +59,9 @@ class ReadLog:
 class _Table:
     """The mapped columns of a log, arrow's of texts or NumPy's of numbers, and what is wrong with some of its rows."""
 
-    def __init__(self, columns: _Columns, decimal: str = ".", lines: Int64Array | None = None) -> None:
+    def __init__(
+        self, columns: _Columns, decimal: str = ".", lines: Int64Array | None = None
+    ) -> None:
         self.columns = columns
         self.decimal = decimal
         self.count = len(next(iter(columns.values()), ()))
@@ -73,7 +77,8 @@ class _Table:
             row = int(fresh.argmax())
             cell = str(self.columns[column][row])
             self.faults.setdefault(
-                int(self.lines[row]), f"column {plain(column)} is {quoted(cell, 30)}; accepted: {words}"
+                int(self.lines[row]),
+                f"column {plain(column)} is {quoted(cell, 30)}; accepted: {words}",
             )
         self.accepted &= accepted
 
@@ -89,7 +94,9 @@ class _Table:
         return f"{counted(len(lines), 'corrupt row')}, {told} (line {first}: {self.faults[first]})"
 
 
-def read_log(path: Path, mapping: LogMapping | None = None, *, skip_corrupt: bool = False) -> ReadLog:
+def read_log(
+    path: Path, mapping: LogMapping | None = None, *, skip_corrupt: bool = False
+) -> ReadLog:
     """Read a log; its times are exact, and increase.
 
     Args:
@@ -101,15 +108,24 @@ def read_log(path: Path, mapping: LogMapping | None = None, *, skip_corrupt: boo
         BagError: naming the corrupt rows, and why the first is: no number, or no later time than the row before.
     """
     mapping = mapping_of(path, mapping)
-    read = {".parquet": _parquet_columns, ".npz": _npz_columns}.get(path.suffix.lower(), _text_columns)
+    read = {".parquet": _parquet_columns, ".npz": _npz_columns}.get(
+        path.suffix.lower(), _text_columns
+    )
     with located(plain(path), BagError), library_errors():
         table = read(path, mapping)
     counts = {len(values) for values in table.columns.values()}
     if len(counts) != 1 or 0 in counts:
-        lengths = ", ".join(f"{plain(column)} {len(values)}" for column, values in table.columns.items())
-        raise BagError(f"{plain(path)}: rows: {lengths}; accepted: columns of as many rows each, one or more")
+        lengths = ", ".join(
+            f"{plain(column)} {len(values)}" for column, values in table.columns.items()
+        )
+        raise BagError(
+            f"{plain(path)}: rows: {lengths}; accepted: columns of as many rows each, one or more"
+        )
     arrays = {
-        topic: {name: _values(table, field, exact=mapping.exact) for name, field in columns.fields.items()}
+        topic: {
+            name: _values(table, field, exact=mapping.exact)
+            for name, field in columns.fields.items()
+        }
         for topic, columns in mapping.by_topic.items()
     }
     stamps = _stamps_ns(table, mapping)
@@ -121,7 +137,11 @@ def read_log(path: Path, mapping: LogMapping | None = None, *, skip_corrupt: boo
     for topic, columns in mapping.by_topic.items():
         fields: dict[str, Any] = {name: values[rows] for name, values in arrays[topic].items()}
         unit = columns.effort_unit(topic)
-        series.append(JointSeries(absolute(topic), columns.names or (), stamps[rows], **fields, effort_unit=unit))
+        series.append(
+            JointSeries(
+                absolute(topic), columns.names or (), stamps[rows], **fields, effort_unit=unit
+            )
+        )
     return ReadLog(tuple(series), table.corrupt)
 
 
@@ -143,7 +163,9 @@ def _numbers(cells: Any, decimal: str, *, exact: bool) -> tuple[NDArray[np.float
         return cells.astype(np.float64), np.ones(len(cells), dtype=np.bool_)
     texts = cells
     if decimal == ",":
-        texts = pc.if_else(pc.match_substring(texts, "."), "", pc.replace_substring(texts, ",", "."))
+        texts = pc.if_else(
+            pc.match_substring(texts, "."), "", pc.replace_substring(texts, ",", ".")
+        )
     is_number = pc.match_substring_regex(texts, _NUMBER_OR_NONE if exact else _NUMBER)
     texts = pc.if_else(is_number, pc.replace_substring_regex(texts, r"^\+", ""), "nan")
     return pc.cast(texts, pa.float64()).to_numpy(), is_number.to_numpy()
@@ -204,7 +226,9 @@ def _parquet_columns(path: Path, mapping: LogMapping) -> _Table:
     _check_names(mapping, file.schema_arrow.names)
     groups = [file.metadata.row_group(k) for k in range(file.metadata.num_row_groups)]
     parts = [group.column(k) for group in groups for k in range(group.num_columns)]
-    pages = sum(part.total_uncompressed_size for part in parts if part.path_in_schema in mapping.columns)
+    pages = sum(
+        part.total_uncompressed_size for part in parts if part.path_in_schema in mapping.columns
+    )
     check_arrays(path, max(_NUMBER_BYTES * file.metadata.num_rows * len(mapping.columns), pages))
     return _Table({column: file.read([column])[column].to_numpy() for column in mapping.columns})
 
@@ -233,8 +257,14 @@ def _text_columns(path: Path, mapping: LogMapping) -> _Table:
     beginning = [_split(line, delimiter) for line in lines[:_LOOKED_AT].to_pylist()]
     head = mapping.header
     if head is None:  # the lines before the first one that holds a number
-        head = next((k for k, row in enumerate(beginning) if _has_number(row, decimal)), len(beginning))
-    if mapping.header and head <= len(beginning) and all(_has_number([cell], decimal) for cell in beginning[head - 1]):
+        head = next(
+            (k for k, row in enumerate(beginning) if _has_number(row, decimal)), len(beginning)
+        )
+    if (
+        mapping.header
+        and head <= len(beginning)
+        and all(_has_number([cell], decimal) for cell in beginning[head - 1])
+    ):
         raise BagError(f"no names in line {head}; accepted: header, their line, or 0 for none")
     widths = Counter(map(len, beginning[head:]))
     if not widths:
@@ -242,15 +272,22 @@ def _text_columns(path: Path, mapping: LogMapping) -> _Table:
     width = widths.most_common(1)[0][0]
     # NumPy and Matlab write the names into a comment; rows may end in a delimiter more than their header.
     named = [*beginning[:head], *(_split(line, delimiter) for line in comments)]
-    header = next((names for count in (width, width - 1) for names in named if len(names) == count), [])
+    header = next(
+        (names for count in (width, width - 1) for names in named if len(names) == count), []
+    )
     _check_names(mapping, [*header, *range(1, width + 1)])
-    places = {column: column - 1 if isinstance(column, int) else header.index(column) for column in mapping.columns}
+    places = {
+        column: column - 1 if isinstance(column, int) else header.index(column)
+        for column in mapping.columns
+    }
     torn = array("q")
     faults: dict[int, str] = {}
 
     def note_torn(row: pa_csv.InvalidRow) -> str:
         if not torn:
-            faults[int(numbers[head + row.number - 1])] = f"{counted(row.actual_columns, 'field')}, others have {width}"
+            faults[int(numbers[head + row.number - 1])] = (
+                f"{counted(row.actual_columns, 'field')}, others have {width}"
+            )
         torn.append(head + row.number - 1)
         return "skip"
 
@@ -272,7 +309,9 @@ def _text_columns(path: Path, mapping: LogMapping) -> _Table:
         raise BagError(f"{plain(error, 300)}; accepted: columns as in the signal map") from error
     if table.num_rows + len(torn) != count:
         raise BagError("a quotation mark without a second one in its line; accepted: pairs of them")
-    columns = {column: pc.utf8_trim_whitespace(table[str(place)]) for column, place in places.items()}
+    columns = {
+        column: pc.utf8_trim_whitespace(table[str(place)]) for column, place in places.items()
+    }
     result = _Table(columns, decimal, np.delete(numbers, torn)[head:])
     result.torn = numbers[torn]
     result.faults = faults
@@ -305,7 +344,9 @@ def _stamps_ns(table: _Table, mapping: LogMapping) -> Int64Array:
     """Return the times in ns, exactly if they are texts or whole numbers; -1 for times that are no valid stamps."""
     time = mapping.time
     if time is None:
-        return np.asarray(np.rint(np.arange(table.count) * (NANOSECONDS / (mapping.rate or 1.0))), dtype=np.int64)
+        return np.asarray(
+            np.rint(np.arange(table.count) * (NANOSECONDS / (mapping.rate or 1.0))), dtype=np.int64
+        )
     cells = table.columns[time.column]
     unit_ns = TIME_UNITS[time.unit]
     if isinstance(cells, np.ndarray):
@@ -321,8 +362,12 @@ def _stamps_ns(table: _Table, mapping: LogMapping) -> Int64Array:
         stamps[~inside] = -1
     else:
         texts = (cell for part in cells.chunks for cell in part.to_pylist())
-        stamps = np.fromiter((_stamp_ns(cell, table.decimal, unit_ns) for cell in texts), np.int64, table.count)
-    table.accept(time.column, stamps >= 0, f"times of 0 to {_LAST_NS // NANOSECONDS} s, or ISO 8601")
+        stamps = np.fromiter(
+            (_stamp_ns(cell, table.decimal, unit_ns) for cell in texts), np.int64, table.count
+        )
+    table.accept(
+        time.column, stamps >= 0, f"times of 0 to {_LAST_NS // NANOSECONDS} s, or ISO 8601"
+    )
     return np.asarray(stamps, dtype=np.int64)
 
 
@@ -331,7 +376,9 @@ def _stamp_ns(cell: str, decimal: str, unit_ns: int) -> int:
     stamp: Decimal | int = -1
     if re.fullmatch(r"[0-9.,eE+-]+", cell):
         with suppress(DecimalException):
-            stamp = Decimal(cell.replace(decimal, ".")) * unit_ns  # floating point spoils ns of the wall clock
+            stamp = (
+                Decimal(cell.replace(decimal, ".")) * unit_ns
+            )  # floating point spoils ns of the wall clock
     elif re.match(r"\d{4}-\d", cell):
         for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):
             with suppress(pa.ArrowInvalid):

@@ -32,7 +32,15 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import FIELDS, quantities
 from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import BagError
-from rx90_common.base.models import FileModel, NotZero, Some, not_accepted, quantity, read_model, refusal
+from rx90_common.base.models import (
+    FileModel,
+    NotZero,
+    Some,
+    not_accepted,
+    quantity,
+    read_model,
+    refusal,
+)
 from rx90_common.base.quoting import plain
 
 TIME_UNITS: Final = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
@@ -56,7 +64,9 @@ _Column: TypeAlias = Annotated[
     Annotated[int, Field(ge=1, le=100_000)] | str,
     Field(
         description="Number of a column, from 1 on, or its name in the header.",
-        json_schema_extra={"accepted": "the number of a column, from 1 on, or its name in the header"},
+        json_schema_extra={
+            "accepted": "the number of a column, from 1 on, or its name in the header"
+        },
     ),
 ]
 _Numbers: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=1)]
@@ -88,14 +98,18 @@ class FieldColumns(FileModel):
         NotZero | _NotZeros,
         Field(
             description="What the log's numbers are multiplied by: one number, or one for each name.",
-            json_schema_extra={"accepted": "a number other than 0, or a list of them, one for each name"},
+            json_schema_extra={
+                "accepted": "a number other than 0, or a list of them, one for each name"
+            },
         ),
     ] = 1.0
 
     @property
     def factors(self) -> tuple[float, ...]:
         """Return what turns the numbers of each column into SI units."""
-        return tuple((np.broadcast_to(self.factor, len(self.columns)) * _SCALES[self.unit]).tolist())
+        return tuple(
+            (np.broadcast_to(self.factor, len(self.columns)) * _SCALES[self.unit]).tolist()
+        )
 
 
 class PositionColumns(FieldColumns):
@@ -132,7 +146,10 @@ class MessageColumns(FileModel):
             strict=False,
             min_length=1,
             description="What the log calls the joints, or their motors.",
-            json_schema_extra={"accepted": "a list of texts, one or more, each once, without NUL", "uniqueItems": True},
+            json_schema_extra={
+                "accepted": "a list of texts, one or more, each once, without NUL",
+                "uniqueItems": True,
+            },
         ),
         AfterValidator(lambda names: names and _check_once(names)),
     ] = None
@@ -147,7 +164,9 @@ class MessageColumns(FileModel):
                 raise ValueError(f"has {name} and no names; accepted: names, a list of texts")
             for key, values in (("columns", array.columns), ("factor", array.factor)):
                 if isinstance(values, tuple) and len(values) != len(self.names):
-                    raise refusal(f"{name}.{key}", values, f"a list of {len(self.names)}, one for each name")
+                    raise refusal(
+                        f"{name}.{key}", values, f"a list of {len(self.names)}, one for each name"
+                    )
         return self
 
     @property
@@ -166,59 +185,89 @@ class SignalMapFile(MessageColumns):
     """What a log holds: columns of a table, or messages of a bag."""
 
     topic: Annotated[
-        str | None, Field(description="JointState topic of a bag, or that of a table, joint_states by default.")
+        str | None,
+        Field(
+            description="JointState topic of a bag, or that of a table, joint_states by default."
+        ),
     ] = None
     topics: Annotated[
-        Some[MessageColumns] | None, Field(description="Topics of a table that holds several, by name.")
+        Some[MessageColumns] | None,
+        Field(description="Topics of a table that holds several, by name."),
     ] = None
     gear: Annotated[
         _NotZeros | None,
-        Field(description="Motor turns per joint turn: says that the log holds the motors' states."),
+        Field(
+            description="Motor turns per joint turn: says that the log holds the motors' states."
+        ),
     ] = None
     coupling: Annotated[
         _Numbers | None,
-        Field(description="Turns of each motor per joint turn without the gears, row by row, n x n."),
+        Field(
+            description="Turns of each motor per joint turn without the gears, row by row, n x n."
+        ),
     ] = None
     torque_constant: Annotated[
-        _NotZeros | None, Field(description="Torque per unit of effort, where effort is a current, Nm/A.")
+        _NotZeros | None,
+        Field(description="Torque per unit of effort, where effort is a current, Nm/A."),
     ] = None
     zero: Annotated[
-        _Numbers | None, Field(description="Recorded angle of each joint where its angle in the URDF is 0, rad.")
+        _Numbers | None,
+        Field(description="Recorded angle of each joint where its angle in the URDF is 0, rad."),
     ] = None
     spring: Annotated[
         _Numbers | None,
-        Field(description="Amplitude k of a gravity-compensation spring on each joint, torque -k sin(q), Nm."),
+        Field(
+            description="Amplitude k of a gravity-compensation spring on each joint, torque -k sin(q), Nm."
+        ),
     ] = None
     torque_delay: Annotated[
         float | None,
         quantity(
-            "s", "How much later torques acted than their stamps say; negative if recorded late.", ge=-0.2, le=0.2
+            "s",
+            "How much later torques acted than their stamps say; negative if recorded late.",
+            ge=-0.2,
+            le=0.2,
         ),
     ] = None
-    record_time: Annotated[bool, Field(description="Whether a bag's times of recording replace the stamps.")] = False
+    record_time: Annotated[
+        bool, Field(description="Whether a bag's times of recording replace the stamps.")
+    ] = False
     time: TimeColumn | None = None
     rate: Annotated[
-        float | None, quantity("Hz", "Rows per second, where no column holds the times.", ge=1e-3, le=1e6)
+        float | None,
+        quantity("Hz", "Rows per second, where no column holds the times.", ge=1e-3, le=1e6),
     ] = None
     delimiter: Annotated[
-        Literal[",", ";", "tab", "space"] | None, Field(description="Between columns; found out if left out.")
+        Literal[",", ";", "tab", "space"] | None,
+        Field(description="Between columns; found out if left out."),
     ] = None
-    decimal: Annotated[Literal[".", ","] | None, Field(description="Decimal sign; found out if left out.")] = None
+    decimal: Annotated[
+        Literal[".", ","] | None, Field(description="Decimal sign; found out if left out.")
+    ] = None
     header: Annotated[
-        int | None, Field(ge=0, le=1000, description="Lines before the first row; found out if left out.")
+        int | None,
+        Field(ge=0, le=1000, description="Lines before the first row; found out if left out."),
     ] = None
-    exact: Annotated[bool, Field(description="Numbers and times are taken as they stand: NaN, any order.")] = False
+    exact: Annotated[
+        bool, Field(description="Numbers and times are taken as they stand: NaN, any order.")
+    ] = False
 
     @model_validator(mode="after")
     def _check_keys(self) -> SignalMapFile:
-        given = [key for key, value in (("time", self.time), ("rate", self.rate)) if value is not None]
+        given = [
+            key for key, value in (("time", self.time), ("rate", self.rate)) if value is not None
+        ]
         if len(given) != (1 if self.by_topic else 0):
             accepted = "one of them" if self.by_topic else f"with topics, {', '.join(FIELDS)}"
-            raise ValueError(f"has {' and '.join(given) or 'none'} of time, rate; accepted: {accepted}")
+            raise ValueError(
+                f"has {' and '.join(given) or 'none'} of time, rate; accepted: {accepted}"
+            )
         for name, columns in self.by_topic.items():
             if not _TOPIC.fullmatch(name) or not columns.fields:
                 accepted = f"names of topics, with one or more of {', '.join(FIELDS)}"
-                raise ValueError(f"topics.{plain(name)}: no topic, or no columns; accepted: {accepted}")
+                raise ValueError(
+                    f"topics.{plain(name)}: no topic, or no columns; accepted: {accepted}"
+                )
         return self
 
     @property
@@ -274,7 +323,9 @@ def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
         )
     chosen = LogMapping.load(beside) if mapping is None else mapping
     if not chosen.by_topic:
-        raise BagError(f"{plain(chosen.path)}: names no columns of {plain(path)}; accepted: such as position")
+        raise BagError(
+            f"{plain(chosen.path)}: names no columns of {plain(path)}; accepted: such as position"
+        )
     return chosen
 
 
@@ -283,7 +334,18 @@ def exported_mapping(series: JointSeries) -> str:
     columns: dict[str, Any] = {"names": list(series.names)}
     first = 2
     for name in series.fields:
-        columns[name] = {"columns": list(range(first, first + len(series.names))), "unit": series.units[name]}
+        columns[name] = {
+            "columns": list(range(first, first + len(series.names))),
+            "unit": series.units[name],
+        }
         first += len(series.names)
     time = {"column": 1, "unit": "s"}
-    return yaml_text({"exact": True, "delimiter": ",", "header": 1, "time": time, "topics": {series.topic: columns}})
+    return yaml_text(
+        {
+            "exact": True,
+            "delimiter": ",",
+            "header": 1,
+            "time": time,
+            "topics": {series.topic: columns},
+        }
+    )

@@ -41,12 +41,17 @@ def plot_bags(
         mapping: of the columns of tables; by default the files beside them.
     """
     wanted = USUAL if topics is None else topics
-    bags = [read_joint_bag(path, wanted, mapping=mapping, all_there=topics is not None) for path in paths]
+    bags = [
+        read_joint_bag(path, wanted, mapping=mapping, all_there=topics is not None)
+        for path in paths
+    ]
     if len(bags) > 1:
         bags[1] = bags[1].moved(time_shift(align, *bags))
     names = [name for name in bags[0].series if all(bag.series.get(name) for bag in bags)]
     if not names:
-        raise BagError(f"{listed(paths)}: nothing of {listed(wanted)}; accepted: --topic, with joint states of all")
+        raise BagError(
+            f"{listed(paths)}: nothing of {listed(wanted)}; accepted: --topic, with joint states of all"
+        )
     labels = [path.name for path in paths]
     if len(set(labels)) < len(labels):
         labels = [str(path) for path in paths]
@@ -59,7 +64,9 @@ def plot_bags(
 
 def plot_page(paths: Sequence[Path], figures: Mapping[str, Sequence[figure]]) -> str:
     """Return the text of the page with these figures of one bag or two."""
-    title = f"{' against '.join(path.resolve().name for path in reversed(paths))}: {listed(figures)}"
+    title = (
+        f"{' against '.join(path.resolve().name for path in reversed(paths))}: {listed(figures)}"
+    )
     return render_page("rx90_common.bags", "bag.html.j2", title=title, paths=paths, topics=figures)
 
 
@@ -68,13 +75,21 @@ def _figures(recorded: Mapping[str, JointSeries]) -> list[figure]:
     first = next(iter(recorded.values()))
     every = recorded.values()
     names = [name for name in first.names if all(name in series.names for series in every)]
-    fields = [field for field in first.fields if all(series.units[field] == first.units[field] for series in every)]
+    fields = [
+        field
+        for field in first.fields
+        if all(series.units[field] == first.units[field] for series in every)
+    ]
     if not names:
-        raise BagError(f"{plain(first.topic)}: no joint is in both bags; accepted: bags with the same joints")
+        raise BagError(
+            f"{plain(first.topic)}: no joint is in both bags; accepted: bags with the same joints"
+        )
     start = int(first.stamp_ns[0])
     figures = []
     for field in fields:
-        shown = chart("", "", first.quantities[field].replace(" [", ", ").removesuffix("]"), height=_HEIGHT)
+        shown = chart(
+            "", "", first.quantities[field].replace(" [", ", ").removesuffix("]"), height=_HEIGHT
+        )
         figures.append(shown)
         for bag, series in recorded.items():
             time = (series.stamp_ns - start) / NANOSECONDS
@@ -82,6 +97,8 @@ def _figures(recorded: Mapping[str, JointSeries]) -> list[figure]:
             for k, joint in enumerate(names if field in series.fields else ()):
                 name = plain(f"{joint}, {bag}" if len(recorded) > 1 else joint)
                 values = series.fields[field][:, series.names.index(joint)]
-                shown.line(time, values, name=name, color=COLOURS[k % len(COLOURS)], line_width=width)
+                shown.line(
+                    time, values, name=name, color=COLOURS[k % len(COLOURS)], line_width=width
+                )
     over_one_x(figures, f"time since {start / NANOSECONDS:.9f} s, s" if start else "time, s")
     return figures

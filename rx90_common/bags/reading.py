@@ -99,13 +99,17 @@ class BagReader:
             for topic in map(topic_of, reader.connections):
                 counts[topic] += topic.count
         topics = [replace(topic, count=count) for topic, count in counts.items()]
-        topics += [BagTopic(series.topic, JOINT_STATE, len(series.stamp_ns)) for series in self.table]
+        topics += [
+            BagTopic(series.topic, JOINT_STATE, len(series.stamp_ns)) for series in self.table
+        ]
         return sorted(topics)
 
     def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, bytes]]:
         """Yield (topic, log time in ns, serialised message), file by file, in each in the order of log time."""
         for file, reader in self._readers.items():
-            connections = [connection for connection in reader.connections if topic_of(connection) in topics]
+            connections = [
+                connection for connection in reader.connections if topic_of(connection) in topics
+            ]
             by_id = {connection.id: topic_of(connection) for connection in connections}
             read = 0
             with self._damage(file):
@@ -116,16 +120,22 @@ class BagReader:
                     yield by_id[connection.id], log_ns, message
                 expected = sum(connection.msgcount for connection in connections)
                 if read != expected:
-                    raise DamagedError(f"{expected:,} messages should be there, {read:,} can be read")
+                    raise DamagedError(
+                        f"{expected:,} messages should be there, {read:,} can be read"
+                    )
 
     def deserialize(self, topic: BagTopic, data: bytes) -> Any:
         """Return the message as rosbags builds it."""
         store = _typestore(Stores.ROS1_NOETIC if topic.is_ros1 else Stores.ROS2_JAZZY)
         if topic.msgtype not in store.fielddefs:
             kind = plain(topic.msgtype)
-            raise BagError(f"{plain(self.path)}: {plain(topic.name)} is {kind}, which is not known here")
+            raise BagError(
+                f"{plain(self.path)}: {plain(topic.name)} is {kind}, which is not known here"
+            )
         try:
-            return (store.deserialize_ros1 if topic.is_ros1 else store.deserialize_cdr)(data, topic.msgtype)
+            return (store.deserialize_ros1 if topic.is_ros1 else store.deserialize_cdr)(
+                data, topic.msgtype
+            )
         except Exception as error:  # rosbags has no error of its own for bytes that do not fit
             what = f"a message of {plain(topic.name)} is no {plain(topic.msgtype)} ({type(error).__name__})"
             raise BagError(f"{plain(self.path)}: damaged: {what}") from error
@@ -137,7 +147,9 @@ class BagReader:
             return [self.path]
         metadata = self.path / FILE
         if not metadata.exists():  # to open a pipe would wait for a writer
-            raise BagError(f"{where}: no bag, or without {FILE}, which 'ros2 bag reindex' writes; accepted: {ACCEPTED}")
+            raise BagError(
+                f"{where}: no bag, or without {FILE}, which 'ros2 bag reindex' writes; accepted: {ACCEPTED}"
+            )
         try:
             content = read_yaml(metadata)
         except ConfigError as error:
@@ -148,7 +160,9 @@ class BagReader:
             for key, value in (information.get("custom_data") or {}).items():
                 if key.startswith(EFFORT_UNIT):
                     self.effort_units[key.removeprefix(EFFORT_UNIT)] = plain(value)
-            files = [self.path / PurePosixPath(file).name for file in information["relative_file_paths"]]
+            files = [
+                self.path / PurePosixPath(file).name for file in information["relative_file_paths"]
+            ]
         for file in files:
             if not file.is_file():
                 raise BagError(f"{where}: {plain(file.name)} is missing, which {FILE} names")
@@ -185,7 +199,9 @@ class JointBag:
         series = chain.from_iterable(self.series.values())
         stamps = [int(part.stamp_ns.min()) for part in series if len(part.stamp_ns)]
         if not stamps:
-            raise BagError(f"{plain(self.path)}: holds no JointState message, so it has no start to be aligned")
+            raise BagError(
+                f"{plain(self.path)}: holds no JointState message, so it has no start to be aligned"
+            )
         return min(stamps)
 
     def one(self, topic: str, names: Sequence[str] | None = None) -> JointSeries:
@@ -235,7 +251,9 @@ def read_joint_bag(
     with BagReader(path, mapping) as bag, located(plain(path), BagError):
         by_name = {topic.name: topic for topic in bag.topics if topic.is_joint_state}
         if all_there and topics is None and not any(topic.count for topic in by_name.values()):
-            raise BagError(f"holds no joint states, only {listed(topic.name for topic in bag.topics) or 'nothing'}")
+            raise BagError(
+                f"holds no joint states, only {listed(topic.name for topic in bag.topics) or 'nothing'}"
+            )
         wanted = []
         for name in by_name if topics is None else dict.fromkeys(map(absolute, topics)):
             if name in by_name:
@@ -245,14 +263,25 @@ def read_joint_bag(
                 fault = f"{plain(name)} is {kinds[0]}" if kinds else f"no topic {plain(name)}"
                 raise BagError(f"{fault}; JointState topics: {listed(by_name) or 'none'}")
         if bag.table:
-            return JointBag(bag.path, bag.topics, {s.topic: [s] for s in bag.table if by_name[s.topic] in wanted})
-        builders = {topic: SeriesBuilder(topic, bag.effort_units, partial(bag.deserialize, topic)) for topic in wanted}
+            return JointBag(
+                bag.path,
+                bag.topics,
+                {s.topic: [s] for s in bag.table if by_name[s.topic] in wanted},
+            )
+        builders = {
+            topic: SeriesBuilder(topic, bag.effort_units, partial(bag.deserialize, topic))
+            for topic in wanted
+        }
         total = sum(topic.count for topic in wanted)
         for done, (topic, log_ns, data) in enumerate(bag.messages(wanted), 1):
             builders[topic].add(data, log_ns if record_time else None)
             if done % _STEP == 0 or done == total > _STEP:
                 progress(done, total)
-        return JointBag(bag.path, bag.topics, {topic.name: builder.build() for topic, builder in builders.items()})
+        return JointBag(
+            bag.path,
+            bag.topics,
+            {topic.name: builder.build() for topic, builder in builders.items()},
+        )
 
 
 def read_joint_states(

@@ -56,5 +56,7 @@ def time_shift(align: int | str, first: JointBag, second: JointBag) -> int:
     if isinstance(align, int):
         return align
     if align == TRAJECTORY:
-        return read_trajectories(first.path)[-1].start_ns - read_trajectories(second.path)[-1].start_ns
+        return (
+            read_trajectories(first.path)[-1].start_ns - read_trajectories(second.path)[-1].start_ns
+        )
     return first.begin_ns - second.begin_ns

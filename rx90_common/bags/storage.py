@@ -44,7 +44,8 @@ from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
 
 ACCEPTED: Final = (
-    "a rosbag2 folder, an .mcap, .db3 or ROS 1 .bag file, also with .zstd, or a .csv, .parquet or .npz table"
+    "a rosbag2 folder, an .mcap, .db3 or ROS 1 .bag file, also with .zstd, "
+    "or a .csv, .parquet or .npz table"
 )
 MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
 _SQLITE_MAGIC = b"SQLite format 3\0"
@@ -159,7 +160,9 @@ def _check_chunks(path: Path, chunks: Iterator[_PackedChunk]) -> set[tuple[int, 
                 unpacked = decompressor.decompress(content, size + 1)
                 left_over = decompressor.unused_data
             if len(unpacked) != size or left_over:
-                raise DamagedError(f"the chunk at byte {start} unpacks to another length than {size:,} bytes")
+                raise DamagedError(
+                    f"the chunk at byte {start} unpacks to another length than {size:,} bytes"
+                )
         whole += size
         check_whole(path, "chunks", whole)
         forms.add((start, compression, len(content), size))
@@ -183,7 +186,12 @@ def _open_mcap(path: Path) -> McapReader:
     reader = McapReader(path)
     reader.open()
     indexed = {
-        (chunk.chunk_start_offset, chunk.compression, chunk.compressed_size, chunk.uncompressed_size)
+        (
+            chunk.chunk_start_offset,
+            chunk.compression,
+            chunk.compressed_size,
+            chunk.uncompressed_size,
+        )
         for chunk in reader.chunks
     }
     if not indexed <= forms:
@@ -195,7 +203,9 @@ def _open_mcap(path: Path) -> McapReader:
 def _check_total(reader: McapReader | Sqlite3Reader) -> None:
     counted = sum(connection.msgcount for connection in reader.connections)
     if counted != reader.metadata.message_count:
-        raise DamagedError(f"it has {reader.metadata.message_count:,} messages, its topics {counted:,}")
+        raise DamagedError(
+            f"it has {reader.metadata.message_count:,} messages, its topics {counted:,}"
+        )
 
 
 def _mcap_chunks(stream: BinaryIO) -> Iterator[_PackedChunk]:
@@ -206,7 +216,9 @@ def _mcap_chunks(stream: BinaryIO) -> Iterator[_PackedChunk]:
         if code == Opcode.CHUNK:
             check_length("a chunk", length, _MAX_CHUNK_BYTES)
             chunk = Chunk.read(ReadDataStream(stream))
-            yield _PackedChunk(begin - _RECORD.size, chunk.compression, chunk.uncompressed_size, chunk.data)
+            yield _PackedChunk(
+                begin - _RECORD.size, chunk.compression, chunk.uncompressed_size, chunk.data
+            )
         stream.seek(begin + length)
 
 
@@ -216,7 +228,9 @@ def _ros1_chunks(reader: Ros1Reader, stream: BinaryIO) -> Iterator[_PackedChunk]
         header = Header.read(stream, RecordType.CHUNK)
         stream.seek(chunk.datapos)
         content = stream.read(min(chunk.datasize, _MAX_CHUNK_BYTES + 1))
-        yield _PackedChunk(start, header.get_string("compression"), header.get_uint32("size"), content)
+        yield _PackedChunk(
+            start, header.get_string("compression"), header.get_uint32("size"), content
+        )
 
 
 def _check_database(path: Path) -> None:
@@ -228,7 +242,9 @@ def _check_database(path: Path) -> None:
                     f"was not closed (its recorder was killed?); sqlite3 restores {path.name} up to its last commit "
                     "when it is opened for writing, and 'ros2 bag reindex' then writes the metadata"
                 )
-    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
+    with closing(
+        sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
+    ) as database:
         (verdict,) = database.execute("PRAGMA integrity_check(1)").fetchone()
         (longest,) = database.execute(_LONGEST).fetchone()
     if verdict != "ok":

@@ -83,7 +83,10 @@ def summarise(path: Path | str, mapping: LogMapping | None = None) -> BagSummary
             times[topics[0]] = series.stamp_ns.tolist()
         return BagSummary(
             path=bag.path,
-            topics=tuple(_summarise(t, np.array(times[t], np.int64), bag.effort_units.get(t.name, "")) for t in topics),
+            topics=tuple(
+                _summarise(t, np.array(times[t], np.int64), bag.effort_units.get(t.name, ""))
+                for t in topics
+            ),
         )
 
 

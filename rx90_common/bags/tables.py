@@ -10,8 +10,22 @@ from rx90_common.bags.summary import BagSummary, TopicSummary
 from rx90_common.base.quoting import aligned, counted, listed, plain
 from rx90_common.base.rates import NANOSECONDS
 
-_WORDS = {Verdict.SAME: "same", Verdict.DIFFERS: "DIFFERS", Verdict.INCOMPARABLE: "CANNOT BE COMPARED"}
-_COMPARED = ("field", "joint", "max", "at t (s)", "RMS", "unit", "tolerance", "beyond", "not finite")
+_WORDS = {
+    Verdict.SAME: "same",
+    Verdict.DIFFERS: "DIFFERS",
+    Verdict.INCOMPARABLE: "CANNOT BE COMPARED",
+}
+_COMPARED = (
+    "field",
+    "joint",
+    "max",
+    "at t (s)",
+    "RMS",
+    "unit",
+    "tolerance",
+    "beyond",
+    "not finite",
+)
 _SUMMARISED = ("topic", "type", "messages", "rate (Hz)", "first (s)", "last (s)", "gaps", "remarks")
 
 
@@ -20,7 +34,10 @@ def comparison_text(comparison: BagComparison) -> str:
     alike = [topic for topic in comparison.topics if topic.identical]
     blocks = [_topic_text(topic) for topic in comparison.topics if not topic.identical]
     if comparison.shift_ns:
-        blocks.insert(0, f"stamps of {plain(comparison.path_b)} moved by {comparison.shift_ns / NANOSECONDS:+.9f} s")
+        blocks.insert(
+            0,
+            f"stamps of {plain(comparison.path_b)} moved by {comparison.shift_ns / NANOSECONDS:+.9f} s",
+        )
     verdict = f"{plain(comparison.path_a)} against {plain(comparison.path_b)}: {_WORDS[comparison.verdict]}"
     if alike:
         verdict += f"; {len(alike)} of {counted(len(comparison.topics), 'topic')} bit for bit"
@@ -39,7 +56,9 @@ def comparison_json(comparison: BagComparison) -> str:
         "verdict": comparison.verdict.name.lower(),
         "exit_code": int(comparison.verdict),
         "shift_ns": comparison.shift_ns,
-        "topics": [asdict(topic) | {"verdict": topic.verdict.name.lower()} for topic in comparison.topics],
+        "topics": [
+            asdict(topic) | {"verdict": topic.verdict.name.lower()} for topic in comparison.topics
+        ],
         "not_compared": list(comparison.skipped),
     }
     return json.dumps(content, indent=2, allow_nan=False)

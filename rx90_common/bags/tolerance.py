@@ -32,7 +32,12 @@ class Tolerances:
                 number = float(value)
             except ValueError:
                 number = math.nan
-            if field not in FIELDS or len(place) > 2 or not all(place) or not 0.0 <= number < math.inf:
+            if (
+                field not in FIELDS
+                or len(place) > 2
+                or not all(place)
+                or not 0.0 <= number < math.inf
+            ):
                 accepted = f"{GRAMMAR}, e.g. joint_states:position=1e-6, VALUE >= 0"
                 raise BagError(f"tolerance {quoted(text)}; accepted: {accepted}")
             topic, joint = [*place, ANY, ANY][:2]
@@ -53,6 +58,10 @@ class Tolerances:
         """
         for topic, joint, _, _ in self._rules:
             if topic not in (ANY, *topics):
-                raise BagError(f"tolerance for {topic}, which is not compared; topics: {listed(topics)}")
+                raise BagError(
+                    f"tolerance for {topic}, which is not compared; topics: {listed(topics)}"
+                )
             if joint not in (ANY, *joints):
-                raise BagError(f"tolerance for {joint}, which no compared topic has; joints: {listed(sorted(joints))}")
+                raise BagError(
+                    f"tolerance for {joint}, which no compared topic has; joints: {listed(sorted(joints))}"
+                )

@@ -18,7 +18,14 @@ from typing import Any, Final, Literal, NamedTuple
 from zlib import crc32
 
 import numpy as np
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.typesys import Stores, get_typestore
@@ -68,7 +75,9 @@ class _McapBatches(McapWriter):
                 self.close_chunk()
             begin = end
 
-    def _append(self, channel: Int64Array, log_ns: Int64Array, messages: list[bytes], lengths: Int64Array) -> None:
+    def _append(
+        self, channel: Int64Array, log_ns: Int64Array, messages: list[bytes], lengths: Int64Array
+    ) -> None:
         """Write messages, whose records have these lengths, into the pending chunk."""
         code = np.full_like(lengths, _MESSAGE)
         columns = [code, lengths - _RECORD_HEAD, channel, np.zeros_like(lengths), log_ns, log_ns]
@@ -81,7 +90,9 @@ class _McapBatches(McapWriter):
             noted.message_end_time = max(int(log_ns.max()), noted.message_end_time)
         for number in dict.fromkeys(channel.tolist()):  # in the order of their first messages
             those = channel == number
-            self.chunk.msgs[number] += zip(log_ns[those].tolist(), places[those].tolist(), strict=True)
+            self.chunk.msgs[number] += zip(
+                log_ns[those].tolist(), places[those].tolist(), strict=True
+            )
             self.channel_stats[number] += int(those.sum())
 
     def close_chunk(self) -> None:
@@ -97,7 +108,9 @@ class _McapBatches(McapWriter):
         """Write the summary and its checksum, and close the file."""
         super().close(version, metadata)
         with self.path.open("r+b") as stream, mmap(stream.fileno(), 0) as content:
-            summary = content[int.from_bytes(content[_SUMMARY_BEGIN], "little") : _SUMMARY_CRC.start]
+            summary = content[
+                int.from_bytes(content[_SUMMARY_BEGIN], "little") : _SUMMARY_CRC.start
+            ]
             content[_SUMMARY_CRC] = crc32(summary).to_bytes(4, "little")
 
 
@@ -168,7 +181,9 @@ class BagWriter(Writer):
             types: knows the type; by default the common interfaces.
         """
         types = types or typestore()
-        return self.add_connection(absolute(topic), msgtype, typestore=types, offered_qos_profiles=[qos]).id
+        return self.add_connection(
+            absolute(topic), msgtype, typestore=types, offered_qos_profiles=[qos]
+        ).id
 
     def write_many(self, number: Int64Array, log_ns: Int64Array, messages: list[bytes]) -> None:
         """Write serialised messages in this order.
@@ -188,7 +203,9 @@ class BagWriter(Writer):
         if free < _RESERVE_BYTES:
             room = f"{free >> 20} MiB left; accepted: {_RESERVE_BYTES >> 20} MiB or more"
             when = f"t = {log_ns[-1] / NANOSECONDS:.6f} s"
-            raise BagWriteError(f"{plain(self._named)}: stopped at {when}, as the disk is nearly full ({room})")
+            raise BagWriteError(
+                f"{plain(self._named)}: stopped at {when}, as the disk is nearly full ({room})"
+            )
 
     def close(self) -> None:
         """Write index and metadata. A second call does nothing.
@@ -295,7 +312,9 @@ def write_joint_states(
             if single.topic not in latched:
                 qos = offered_qos(transient_local=True)
                 latched[single.topic] = bag.add_topic(single.topic, single.message.__msgtype__, qos)
-            bag.write_many(np.array([latched[single.topic]]), np.array([single.log_ns]), [single.cdr])
+            bag.write_many(
+                np.array([latched[single.topic]]), np.array([single.log_ns]), [single.cdr]
+            )
         encoders = [_encoder(part) for part in series]
         counts = [len(part.stamp_ns) for part in series]
         log_ns = np.concatenate([np.empty(0, dtype=np.int64), *(part.stamp_ns for part in series)])

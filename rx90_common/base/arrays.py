@@ -21,5 +21,7 @@ def array_digest(*arrays: NDArray[Any] | None) -> str:
     """Return a digest of arrays, 32 characters; None and an empty array differ, 0 and -0 do not."""
     digest = hashlib.sha256()
     for array in arrays:
-        digest.update(b"none" if array is None else repr(array.shape).encode() + (array + 0).tobytes())
+        digest.update(
+            b"none" if array is None else repr(array.shape).encode() + (array + 0).tobytes()
+        )
     return digest.hexdigest()[:32]

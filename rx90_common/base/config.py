@@ -38,7 +38,9 @@ class _Loader(yaml.composer.Composer, yaml.CSafeLoader):
         self.keys: Any = (str, int) if numbered else str  # their types
         self._depth = 0
         self._count = 0  # of values so far
-        self._values: dict[yaml.Node, int] = {}  # in each node that has an anchor and is complete, itself included
+        self._values: dict[
+            yaml.Node, int
+        ] = {}  # in each node that has an anchor and is complete, itself included
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node:
         """Compose the next node, within the limits."""
@@ -89,7 +91,9 @@ _Loader.yaml_constructors = {
 }
 for _name, _pattern, _first in _CORE_SCHEMA:
     for _class in (_Loader, _Dumper):
-        _class.add_implicit_resolver(f"tag:yaml.org,2002:{_name}", re.compile(_pattern), list(_first))
+        _class.add_implicit_resolver(
+            f"tag:yaml.org,2002:{_name}", re.compile(_pattern), list(_first)
+        )
 
 
 def _construct_integer(loader: _Loader, node: yaml.ScalarNode) -> int:
@@ -145,12 +149,21 @@ def read_yaml(
         loader = _Loader(StringIO(text), numbered)
         node: Any = loader.check_node() and loader.get_node() if first else loader.get_single_node()
         data = loader.construct_document(node) if node else None
-    except (yaml.YAMLError, ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
+    except (
+        yaml.YAMLError,
+        ValueError,
+        LookupError,
+        TypeError,
+        OverflowError,
+        RecursionError,
+    ) as error:
         # All but the first: PyYAML on a tag or an escape that its text does not fit, and on deep nesting.
         reason = plain(_IN_FILE.sub(", ", " ".join(str(error).split())), _LONGEST_REASON)
         raise ConfigError(f"{plain(path)}: not valid YAML ({reason})") from error
     if not isinstance(data, dict):
-        content = "nothing" if data is None else "a list" if isinstance(data, list) else "a single value"
+        content = (
+            "nothing" if data is None else "a list" if isinstance(data, list) else "a single value"
+        )
         raise ConfigError(f"{plain(path)}: holds {content}; accepted: {accepted}")
     if lines is not None:
         _note_lines(node, "", lines)
@@ -175,7 +188,9 @@ def _read(path: Path) -> str:
     separators = text.count(",") + text.count("\n")
     if separators > _MAX_VALUES:  # before it is parsed, which would take a minute
         what = f"has {separators:,} commas and line ends"
-        raise ConfigError(f"{plain(path)}: {what}; accepted: up to {_MAX_VALUES:,}, and as many values")
+        raise ConfigError(
+            f"{plain(path)}: {what}; accepted: up to {_MAX_VALUES:,}, and as many values"
+        )
     return text
 
 
@@ -195,7 +210,9 @@ def check_numbers(content: object, most: float = math.inf, where: str = "") -> N
             check_numbers(value, most, f"{where}[{k}]")
     elif isinstance(content, float) and not (math.isfinite(content) and abs(content) <= most):
         range_text = "finite numbers" if math.isinf(most) else f"finite numbers up to {most:g}"
-        raise ConfigError(f"{plain(where)} is {content:g}, so the file is not written; accepted: {range_text}")
+        raise ConfigError(
+            f"{plain(where)} is {content:g}, so the file is not written; accepted: {range_text}"
+        )
 
 
 def yaml_text(content: Mapping[str, Any]) -> str:

@@ -114,7 +114,9 @@ def write_error(path: object, error: OSError, accepted: str = "") -> Rx90Error:
         accepted: an acceptable place, if there is one to name.
     """
     kind = OutputError if error.errno in DISK_ERRORS else ConfigError
-    return kind(f"{plain(path)}: cannot be written ({error.strerror}){'; accepted: ' * bool(accepted)}{accepted}")
+    return kind(
+        f"{plain(path)}: cannot be written ({error.strerror}){'; accepted: ' * bool(accepted)}{accepted}"
+    )
 
 
 def check_place(path: Path) -> None:
@@ -136,14 +138,18 @@ def check_place(path: Path) -> None:
 def check_replaced(path: Path, *, force: bool, kind: type[Rx90Error] | None = None) -> None:
     """Refuse a file that exists, by a ConfigError or another kind, unless --force was given."""
     if path.exists() and not force:
-        raise (kind or ConfigError)(f"{plain(path)} exists; accepted: another name, or --force to replace it")
+        raise (kind or ConfigError)(
+            f"{plain(path)} exists; accepted: another name, or --force to replace it"
+        )
 
 
 def check_bag_name(path: Path) -> None:
     """Refuse a bag's name to which its file, which is named after it, cannot add its suffix and that of a journal."""
     size = len(os.fsencode(path.name))
     if size > _LONGEST_BAG_NAME:
-        raise BagError(f"{plain(path)}: its name has {size} bytes; accepted: up to {_LONGEST_BAG_NAME}")
+        raise BagError(
+            f"{plain(path)}: its name has {size} bytes; accepted: up to {_LONGEST_BAG_NAME}"
+        )
 
 
 def check_type(**given: tuple[object, type]) -> None:

@@ -53,7 +53,13 @@ _MAX_FAULTS: Final = 20
 """That are told at most."""
 _SIGNS: Final = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
 _NULL: Final = {"type": "null"}
-_OF_ALL_KINDS: Final[tuple[str, ...]] = ("accepted", "description", "unit", "default", "discriminator")
+_OF_ALL_KINDS: Final[tuple[str, ...]] = (
+    "accepted",
+    "description",
+    "unit",
+    "default",
+    "discriminator",
+)
 """What a schema says of all kinds of value that it accepts."""
 
 
@@ -107,9 +113,9 @@ class FileModel(Model):
             json_schema_extra={"accepted": "one of published, derived, assumed, identified"},
         ),
     ] = None
-    source: Annotated[Any, Field(description="A sentence that names the source, for the mapping or for each key.")] = (
-        None
-    )
+    source: Annotated[
+        Any, Field(description="A sentence that names the source, for the mapping or for each key.")
+    ] = None
     note: Annotated[Any, Field(description="A remark for readers.")] = None
 
 
@@ -133,7 +139,9 @@ class Named(FileModel, Generic[Item]):
 class Some(Named[Item], Generic[Item]):
     """A mapping from free names to values of one kind, at least one."""
 
-    model_config = ConfigDict(json_schema_extra={"minProperties": 1, "accepted": "a mapping with one entry or more"})
+    model_config = ConfigDict(
+        json_schema_extra={"minProperties": 1, "accepted": "a mapping with one entry or more"}
+    )
 
     @model_validator(mode="after")
     def _check_some(self: AnyModel) -> AnyModel:
@@ -151,11 +159,15 @@ class OneOf(FileModel):
     def _check_one_of(self) -> OneOf:
         given = [key for key in self.one_of if getattr(self, key) is not None]
         if len(given) != 1:
-            raise ValueError(f"has {' and '.join(given) or 'none'} of {', '.join(self.one_of)}; accepted: one of them")
+            raise ValueError(
+                f"has {' and '.join(given) or 'none'} of {', '.join(self.one_of)}; accepted: one of them"
+            )
         return self
 
     @classmethod
-    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
+    def __get_pydantic_json_schema__(
+        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchema:
         """Return the schema, with the rule."""
         schema = handler.resolve_ref_schema(handler(core_schema))
         schema["oneOf"] = [{"required": [key]} for key in cls.one_of]
@@ -216,14 +228,18 @@ NotZero: TypeAlias = Annotated[
 ]
 Triple: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=3, max_length=3)]
 """Three numbers, such as those of a place."""
-PerJoint: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=1, max_length=MAX_JOINTS)]
+PerJoint: TypeAlias = Annotated[
+    tuple[float, ...], Field(strict=False, min_length=1, max_length=MAX_JOINTS)
+]
 """A number for each joint."""
 Names: TypeAlias = Annotated[tuple[str, ...], Field(strict=False)]
 """Texts, of a list in a file."""
 Positive: TypeAlias = Annotated[float, Field(gt=0.0)]
 NotNegative: TypeAlias = Annotated[float, Field(ge=0.0)]
 RowOf: TypeAlias = Annotated[
-    tuple[Item, ...], Field(strict=False, min_length=1, max_length=MAX_JOINTS), BeforeValidator(_plain_list)
+    tuple[Item, ...],
+    Field(strict=False, min_length=1, max_length=MAX_JOINTS),
+    BeforeValidator(_plain_list),
 ]
 """Values of the joints, or the motors, of an arm: of a list in a file, or of an array in Python."""
 
@@ -253,7 +269,11 @@ def check_counts(blocks: Iterable[tuple[str, Any]], count: int, like: str) -> No
 
 
 def read_model(
-    model: type[AnyModel], path: Path, accepted: str = "a mapping of keys to values", *, first: bool = False
+    model: type[AnyModel],
+    path: Path,
+    accepted: str = "a mapping of keys to values",
+    *,
+    first: bool = False,
 ) -> AnyModel:
     """Read a YAML file.
 
@@ -347,7 +367,9 @@ def refusals(model: type[BaseModel], where: str = "", content: Any = None) -> It
         raise ConfigError(fault_lines(model, error, where, content)[0]) from None
 
 
-def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "", content: Any = None) -> list[str]:
+def fault_lines(
+    model: type[BaseModel], error: ValidationError, where: str = "", content: Any = None
+) -> list[str]:
     """Return a line for each fault, with place, value and what is accepted; misspelt keys come first.
 
     Of many faults the first ones are told, and how many more there are.
@@ -372,13 +394,19 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
             lines.append(_unknown_key(_where(where, place), near, around))
         elif fault["type"] in _MISSING and place in meant:
             continue  # one mistake would be told twice
-        elif fault["type"] == _NO_KIND and (odd := nearest(str(place[-1]), given.keys() - around.keys())):
+        elif fault["type"] == _NO_KIND and (
+            odd := nearest(str(place[-1]), given.keys() - around.keys())
+        ):
             lines.insert(0, _unknown_key(_where(where, (*place[:-1], odd)), str(place[-1]), around))
         elif not any(inner != place and inner[: len(place)] == place for _, inner in faults):
-            lines.append(_line(schema, fault, place, where, content))  # else of several kinds of value another is meant
+            lines.append(
+                _line(schema, fault, place, where, content)
+            )  # else of several kinds of value another is meant
     lines = list(dict.fromkeys(lines))  # two kinds of a union, or both signs, say the same
     if len(every) > _MAX_FAULTS:
-        lines.append(f"{where}{': ' if where else ''}{len(every) - _MAX_FAULTS:,} more faults, which are not told")
+        lines.append(
+            f"{where}{': ' if where else ''}{len(every) - _MAX_FAULTS:,} more faults, which are not told"
+        )
     return lines
 
 
@@ -410,7 +438,9 @@ def accepted_values(schema: JsonSchema, root: JsonSchema | None = None) -> str:
     elif kind == "array":
         words = _list_in_words(schema, root)
     else:
-        words = {"string": "a text", "boolean": "true or false", "object": "a mapping"}.get(kind, "another value")
+        words = {"string": "a text", "boolean": "true or false", "object": "a mapping"}.get(
+            kind, "another value"
+        )
     return words
 
 
@@ -430,7 +460,13 @@ def _number_text(number: float | None) -> str:
 
 def _list_in_words(schema: JsonSchema, root: JsonSchema | None) -> str:
     item = _resolved(schema.get("items", {}), root or {})
-    nouns = {"number": "number", "integer": "integer", "string": "text", "object": "mapping", "array": "row"}
+    nouns = {
+        "number": "number",
+        "integer": "integer",
+        "string": "text",
+        "object": "mapping",
+        "array": "row",
+    }
     noun = nouns.get(str(item.get("type")), "value")
     least = schema.get("minItems", 0)
     most = schema.get("maxItems")
@@ -442,7 +478,13 @@ def _list_in_words(schema: JsonSchema, root: JsonSchema | None) -> str:
         text = f"a list of {least} {noun}{'' if least == 1 else 's'}"
     else:
         text = f"a list of {least} to {most} {noun}s"
-    ranged = {"minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "accepted"} & item.keys()
+    ranged = {
+        "minimum",
+        "maximum",
+        "exclusiveMinimum",
+        "exclusiveMaximum",
+        "accepted",
+    } & item.keys()
     return f"{text}, each {accepted_values(item, root)}" if ranged else text
 
 
@@ -451,7 +493,11 @@ def _line(schema: JsonSchema, fault: ErrorDetails, place: Place, where: str, con
     if fault["type"] == _REFUSED:
         return f"{_where(where, (*place, context['key']))} is {context['value']}; accepted: {context['accepted']}"
     if fault["type"] == "value_error":
-        return f"{_where(where, place)}: {context['error']}" if place or where else str(context["error"])
+        return (
+            f"{_where(where, place)}: {context['error']}"
+            if place or where
+            else str(context["error"])
+        )
     accepted = accepted_values(schema_at(schema, place, content), schema)
     if fault["type"] in _MISSING:
         return f"{_where(where, place)} is missing; accepted: {accepted}"
@@ -462,7 +508,9 @@ def _line(schema: JsonSchema, fault: ErrorDetails, place: Place, where: str, con
 
 
 def _where(where: str, place: Sequence[str | int]) -> str:
-    path = "".join(f"[{key}]" if isinstance(key, int) else f".{plain(key)}" for key in place).removeprefix(".")
+    path = "".join(
+        f"[{key}]" if isinstance(key, int) else f".{plain(key)}" for key in place
+    ).removeprefix(".")
     return ": ".join(filter(None, (where, path))) or "the value"
 
 
@@ -482,7 +530,11 @@ def _place_of(fault: ErrorDetails, schema: JsonSchema, content: Any) -> Place:
         elif _holds(value, key):
             place.append(key)
             value = value[key]
-            chooser = schema_at(schema, tuple(place), content).get("discriminator", {}).get("propertyName")
+            chooser = (
+                schema_at(schema, tuple(place), content)
+                .get("discriminator", {})
+                .get("propertyName")
+            )
             kind = value_at(value, (chooser,))
     if fault["type"] == "missing":
         place.append(fault["loc"][-1])
@@ -549,7 +601,9 @@ def _likeness(schema: JsonSchema, value: Any) -> tuple[bool, bool, int]:
 
 def _inner(schema: JsonSchema, key: str | int) -> JsonSchema:
     if isinstance(key, int):
-        schema = next((kind for kind in schema.get("anyOf", ()) if kind.get("type") == "array"), schema)
+        schema = next(
+            (kind for kind in schema.get("anyOf", ()) if kind.get("type") == "array"), schema
+        )
         items = schema.get("prefixItems", ())
         inner = items[key] if key < len(items) else schema.get("items", {})
     elif schema.get("discriminator", {}).get("propertyName") == key:

@@ -81,12 +81,17 @@ def one_line(text: object, limit: int = LINE_LIMIT) -> str:
     return plain(text, limit)
 
 
-def aligned(rows: Sequence[Sequence[str]], right: Sequence[int] = (), widest: float = math.inf) -> list[str]:
+def aligned(
+    rows: Sequence[Sequence[str]], right: Sequence[int] = (), widest: float = math.inf
+) -> list[str]:
     """Return the rows of a table as lines; columns in `right` end together, cells above a width move what follows."""
     columns = zip(*(map(len, row) for row in rows), strict=True)
     widths = [max((size for size in column if size <= widest), default=0) for column in columns]
     sides = [str.rjust if k in right else str.ljust for k in range(len(widths))]
-    return ["  ".join(side(cell, n) for side, cell, n in zip(sides, row, widths, strict=True)).rstrip() for row in rows]
+    return [
+        "  ".join(side(cell, n) for side, cell, n in zip(sides, row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
 
 
 def _ends(limit: int) -> tuple[int, int]:
@@ -98,7 +103,10 @@ def _ends(limit: int) -> tuple[int, int]:
 def _escaped(text: str) -> str:
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii") for c in text)
+    return "".join(
+        c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii")
+        for c in text
+    )
 
 
 class _Repr(reprlib.Repr):
@@ -107,7 +115,9 @@ class _Repr(reprlib.Repr):
     def __init__(self, limit: int) -> None:
         super().__init__()
         self.maxlevel = 4
-        self.maxtuple = self.maxlist = self.maxarray = self.maxset = self.maxfrozenset = self.maxdeque = 12
+        self.maxtuple = self.maxlist = self.maxarray = self.maxset = self.maxfrozenset = (
+            self.maxdeque
+        ) = 12
         self.maxdict = 8
         self.maxstring = self.maxother = limit
 

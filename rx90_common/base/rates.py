@@ -98,5 +98,7 @@ class Rates:
             ConfigError: if it is not finite, or beyond the range of stamps.
         """
         if not abs(start_time) <= _LAST:
-            raise ConfigError(f"start time is {start_time} s; accepted: a finite number up to {_LAST:g} s")
+            raise ConfigError(
+                f"start time is {start_time} s; accepted: a finite number up to {_LAST:g} s"
+            )
         return round(start_time * self.position_hz)

@@ -72,7 +72,9 @@ def share_directory() -> Path:
     prefix = Path(sys.prefix) / "share" / PACKAGE
     if prefix.is_dir():
         return prefix
-    raise ConfigError(f"the data folder of {PACKAGE} was not found in {ROOT}, AMENT_PREFIX_PATH or {prefix}")
+    raise ConfigError(
+        f"the data folder of {PACKAGE} was not found in {ROOT}, AMENT_PREFIX_PATH or {prefix}"
+    )
 
 
 def config_path(relative: str) -> Path:
@@ -99,4 +101,6 @@ def resolve_config(name: str, folder: Path | None = None) -> Path:
             return shipped
     except OSError as error:  # a name longer than the system takes, a folder that may not be read
         raise ConfigError(f"no file {quoted(str(name))}: {error.strerror}") from error
-    raise ConfigError(f"no file {quoted(str(name))}: neither {own.absolute()} nor the shipped {shipped} exists")
+    raise ConfigError(
+        f"no file {quoted(str(name))}: neither {own.absolute()} nor the shipped {shipped} exists"
+    )

@@ -23,7 +23,9 @@ def read_bytes(file: Path, most: int = MAX_BYTES) -> bytes:
         with file.open("rb") as stream:
             content = stream.read(most + 1)
     except OSError as error:
-        raise ConfigError(f"{plain(file)}: cannot be read ({error.strerror}); accepted: a file") from error
+        raise ConfigError(
+            f"{plain(file)}: cannot be read ({error.strerror}); accepted: a file"
+        ) from error
     if len(content) > most:
         raise ConfigError(f"{plain(file)}: larger than {most:,} bytes; accepted: up to that")
     return content
@@ -34,7 +36,9 @@ def read_text(file: Path, most: int = MAX_BYTES) -> str:
     try:
         return read_bytes(file, most).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{plain(file)}: cannot be read ({error}); accepted: a text file") from error
+        raise ConfigError(
+            f"{plain(file)}: cannot be read ({error}); accepted: a text file"
+        ) from error
 
 
 def read_lines(file: Path) -> list[str]:

@@ -27,7 +27,9 @@ _TORQUE_CONSTANT = 0.1  # Nm/A
 _BRAKE_HZ = 50.0
 _STOP_HZ = 10.0
 _HALF_CRITICAL = 0.5
-_FASTEST = 1000.0  # 1/s, of all velocity loops together in the arm's lightest pose; the observer has 2500
+_FASTEST = (
+    1000.0  # 1/s, of all velocity loops together in the arm's lightest pose; the observer has 2500
+)
 _HIGHEST_KV = 400.0  # 1/s
 FULL_SPEED_TIME: Final = 0.5
 """Time, s, in which a joint reaches its speed limit with the default acceleration."""
@@ -57,7 +59,9 @@ def assumed_files(
     n = len(rotors)
     effort = np.abs(turning.joint_turns.T) @ robot.max_effort
     kv = min(_HIGHEST_KV, _FASTEST / most)
-    gear = np.array(known["transmission", "gear"].value if ("transmission", "gear") in known else [_GEAR] * n)
+    gear = np.array(
+        known["transmission", "gear"].value if ("transmission", "gear") in known else [_GEAR] * n
+    )
     constant = np.full(n, _TORQUE_CONSTANT)
     if ("motor", "torque_constant") in known:
         constant = np.array(known["motor", "torque_constant"].value)
@@ -68,7 +72,10 @@ def assumed_files(
 
     def held(frequency: float) -> dict[str, list[float]]:
         pole = 2.0 * math.pi * frequency
-        return {"stiffness": _six(pole * pole * least), "damping": _six(2.0 * _HALF_CRITICAL * pole * least)}
+        return {
+            "stiffness": _six(pole * pole * least),
+            "damping": _six(2.0 * _HALF_CRITICAL * pole * least),
+        }
 
     drives: dict[str, dict[str, Any]] = {
         "transmission": {
@@ -100,7 +107,10 @@ def assumed_files(
 
 
 def _marked(content: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    return {name: {"provenance": "assumed", "source": _SOURCE, **block} for name, block in content.items()}
+    return {
+        name: {"provenance": "assumed", "source": _SOURCE, **block}
+        for name, block in content.items()
+    }
 
 
 def _six(values: Array) -> list[float]:
@@ -108,7 +118,9 @@ def _six(values: Array) -> list[float]:
     return [float(f"{value:.6g}") for value in values]
 
 
-def _inertias(robot: RobotModel, model: Any, turning: Coupling, rotors: Array) -> tuple[Array, Array, Array, float]:
+def _inertias(
+    robot: RobotModel, model: Any, turning: Coupling, rotors: Array
+) -> tuple[Array, Array, Array, float]:
     """Return inertias of the motors, seen through their gears, kg m^2, shape (n,) each.
 
     Mean over poses with the other joints at rest, that for the controller, and the least in any pose with the other

@@ -10,7 +10,15 @@ from typing import NamedTuple
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.description.rotations import dot, length, outer, product, rotated, rpy_rotation, transposed
+from rx90_common.description.rotations import (
+    dot,
+    length,
+    outer,
+    product,
+    rotated,
+    rpy_rotation,
+    transposed,
+)
 from rx90_common.description.urdf import UrdfFile
 
 _GRAVITY = (0.0, 0.0, -9.81)
@@ -80,7 +88,10 @@ def rigid_chain(file: UrdfFile, tcp_link: str) -> RigidChain:
             axis[index] = direction / length(direction)
             index += 1
         frames[joint.child] = _Frame(place, turn, index)
-    bodies = [_body(frames[body.link], body.mass, body.xyz, body.rpy, body.inertia) for body in file.bodies()]
+    bodies = [
+        _body(frames[body.link], body.mass, body.xyz, body.rpy, body.inertia)
+        for body in file.bodies()
+    ]
     links = [_together([body for body in bodies if body.joints == i + 1]) for i in range(joints)]
     tcp = frames[tcp_link]
     return RigidChain(
@@ -96,12 +107,20 @@ def rigid_chain(file: UrdfFile, tcp_link: str) -> RigidChain:
 
 
 def _body(
-    frame: _Frame, mass: float, xyz: tuple[float, ...], rpy: tuple[float, ...], inertia: tuple[float, ...]
+    frame: _Frame,
+    mass: float,
+    xyz: tuple[float, ...],
+    rpy: tuple[float, ...],
+    inertia: tuple[float, ...],
 ) -> _Body:
     xx, yy, zz, xy, xz, yz = inertia
     turn = product(frame.rotation, rpy_rotation(rpy))
-    tensor = product(product(turn, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])), transposed(turn))
-    return _Body(mass, frame.position + rotated(frame.rotation, np.array(xyz)), tensor, frame.joints)
+    tensor = product(
+        product(turn, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])), transposed(turn)
+    )
+    return _Body(
+        mass, frame.position + rotated(frame.rotation, np.array(xyz)), tensor, frame.joints
+    )
 
 
 def _together(bodies: list[_Body]) -> _Body:

@@ -65,7 +65,9 @@ class Coupling:
     def __post_init__(self) -> None:
         turns = self.turns
         if turns.ndim != 2 or turns.shape[0] != turns.shape[1] or not 1 <= len(turns) <= MAX_JOINTS:
-            raise ConfigError(f"coupling has shape {turns.shape}; accepted: square, of 1 to {MAX_JOINTS} rows")
+            raise ConfigError(
+                f"coupling has shape {turns.shape}; accepted: square, of 1 to {MAX_JOINTS} rows"
+            )
         for i, row in enumerate(turns.tolist()):
             alone = sum(value != 0.0 for value in row) == 1
             if alone and row[i] != 1.0:
@@ -199,7 +201,10 @@ def gear_field(name: str, arm: ArmSize) -> tuple[Any, ...]:
         "element": (elements, joints),  # turns of friction elements for joints
         "element_columns": (joints, elements),
         "belongs": (joints, elements),  # columns: which motor belongs to an element
-        "passed": (joints, elements),  # columns: share of the joints' torques that goes through an element
+        "passed": (
+            joints,
+            elements,
+        ),  # columns: share of the joints' torques that goes through an element
     }
     numbers = [(key, np.float64, shape) for key, shape in shapes.items()]
     return name, np.dtype([*numbers, ("element_of_motor", np.int64, (joints,))], align=True)
@@ -294,7 +299,12 @@ def _to_joint_torque(gear: Any, motor: Any, joint: Any) -> Any:  # noqa: ARG001 
         joint[4] += joint[5]
 
     def of_matrices(gear: Any, motor: Array, joint: Array) -> None:
-        store(joint, times_lanes(gear.motor, load(gear.ratio, size(gear.ratio)) * load(motor, size(gear.ratio))))
+        store(
+            joint,
+            times_lanes(
+                gear.motor, load(gear.ratio, size(gear.ratio)) * load(motor, size(gear.ratio))
+            ),
+        )
 
     return of_matrices if has_matrices(gear) else of_wrist
 
@@ -398,7 +408,14 @@ def turn_of_drive(gear: Any, joint: Any, drive: Any) -> Any:  # noqa: ARG001 - a
 def add_drive(gear: Any, drive: Any, inertia: Any, torque: Any, mass: Any, joint: Any) -> Any:  # noqa: ARG001
     """Add inertia and torque of a motor, through its gear, to mass matrix (lower half) and torques of the joints."""
 
-    def of_wrist(gear: Array, drive: int, inertia: float, torque: float, mass: Array, joint: Array) -> None:  # noqa: ARG001
+    def of_wrist(
+        gear: Array,  # noqa: ARG001
+        drive: int,
+        inertia: float,
+        torque: float,
+        mass: Array,
+        joint: Array,
+    ) -> None:
         mass[drive, drive] += inertia
         joint[drive] += torque
         if drive == 5:
@@ -406,7 +423,9 @@ def add_drive(gear: Any, drive: Any, inertia: Any, torque: Any, mass: Any, joint
             mass[5, 4] += inertia
             joint[4] += torque
 
-    def of_matrices(gear: Any, drive: int, inertia: float, torque: float, mass: Array, joint: Array) -> None:
+    def of_matrices(
+        gear: Any, drive: int, inertia: float, torque: float, mass: Array, joint: Array
+    ) -> None:
         for i in range(size(gear.ratio)):
             turn = gear.motor[drive, i]
             joint[i] += turn * torque

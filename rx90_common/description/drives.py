@@ -47,7 +47,9 @@ _ABSOLUTE_ZERO = -273.15
 _MAX_PLAY = 0.5
 
 _Rows: TypeAlias = Annotated[tuple[RowOf[float], ...], Field(strict=False)]
-_Waves: TypeAlias = Annotated[tuple[Annotated[float, Field(gt=0.0, le=1000.0)], ...], Field(strict=False)]
+_Waves: TypeAlias = Annotated[
+    tuple[Annotated[float, Field(gt=0.0, le=1000.0)], ...], Field(strict=False)
+]
 _PositiveOrEndless: TypeAlias = Annotated[float, Field(gt=0.0, allow_inf_nan=True)]
 _Play: TypeAlias = Annotated[float, Field(ge=0.0, le=_MAX_PLAY)]
 _Degrees: TypeAlias = Annotated[float, Field(ge=_ABSOLUTE_ZERO, le=1000.0)]
@@ -61,11 +63,15 @@ class Cogging(FileModel):
     energy, so a turn neither gives nor takes any.
     """
 
-    harmonic: Annotated[_Waves, quantity("1", "Waves in a turn of the motor, one for each row of the others.")]
+    harmonic: Annotated[
+        _Waves, quantity("1", "Waves in a turn of the motor, one for each row of the others.")
+    ]
     amplitude: Annotated[_Rows, quantity("Nm", "Amplitudes of the motors, motor side.")]
     phase: Annotated[
         _Rows,
-        quantity("rad", "Phases of the cosines where the motors are at 0; 0 where they are left out."),
+        quantity(
+            "rad", "Phases of the cosines where the motors are at 0; 0 where they are left out."
+        ),
         Field(validate_default=True),
     ] = ()
 
@@ -94,14 +100,22 @@ class Cogging(FileModel):
 class CurrentSensor(FileModel):
     """Errors of the amplifiers' current sensors, a value for each: none where the block is left out."""
 
-    offset: Annotated[RowOf[float], quantity("A", "What a sensor shows without a current.")] = (0.0,)
-    noise: Annotated[RowOf[NotNegative], quantity("A", "Standard deviation of a sample, one in each base tick.")] = (
+    offset: Annotated[RowOf[float], quantity("A", "What a sensor shows without a current.")] = (
         0.0,
     )
-    resolution: Annotated[RowOf[NotNegative], quantity("A", "Step of the converter; 0 for none.")] = (0.0,)
+    noise: Annotated[
+        RowOf[NotNegative], quantity("A", "Standard deviation of a sample, one in each base tick.")
+    ] = (0.0,)
+    resolution: Annotated[
+        RowOf[NotNegative], quantity("A", "Step of the converter; 0 for none.")
+    ] = (0.0,)
     bandwidth: Annotated[
         float,
-        quantity("Hz", "Bandwidth of the current loop, through which the errors act on the torque.", gt=0.0),
+        quantity(
+            "Hz",
+            "Bandwidth of the current loop, through which the errors act on the torque.",
+            gt=0.0,
+        ),
     ]
 
     @property
@@ -121,20 +135,34 @@ class Windings(FileModel):
         RowOf[NotNegative],
         quantity("Ohm", "Resistance at the reference temperature; 0 for a constant temperature."),
     ]
-    thermal_resistance: Annotated[RowOf[_PositiveOrEndless], quantity("K/W", "Between winding and surroundings.")]
+    thermal_resistance: Annotated[
+        RowOf[_PositiveOrEndless], quantity("K/W", "Between winding and surroundings.")
+    ]
     heat_capacity: Annotated[RowOf[_PositiveOrEndless], quantity("J/K", "Of the winding.")]
     ambient: Annotated[_Degrees, quantity("°C", "Temperature of the surroundings.")]
     initial: Annotated[
         _Degrees | None,
-        quantity("°C", "Temperature of the windings at the start; as warm as the surroundings if left out."),
+        quantity(
+            "°C",
+            "Temperature of the windings at the start; as warm as the surroundings if left out.",
+        ),
         Field(validate_default=True),
     ] = None
-    reference: Annotated[_Degrees, quantity("°C", "Temperature at which the resistance holds.")] = 20.0
-    coefficient: Annotated[float, quantity("1/K", "Rise of the resistance with temperature.", ge=0.0, le=0.1)] = COPPER
+    reference: Annotated[_Degrees, quantity("°C", "Temperature at which the resistance holds.")] = (
+        20.0
+    )
+    coefficient: Annotated[
+        float, quantity("1/K", "Rise of the resistance with temperature.", ge=0.0, le=0.1)
+    ] = COPPER
     derating: Annotated[
-        _DegreesOrNever, quantity("°C", "Temperature from which on the amplifier limits the current; .inf for never.")
+        _DegreesOrNever,
+        quantity(
+            "°C", "Temperature from which on the amplifier limits the current; .inf for never."
+        ),
     ]
-    limit: Annotated[_DegreesOrNever, quantity("°C", "Temperature at which it gives none; .inf for never.")]
+    limit: Annotated[
+        _DegreesOrNever, quantity("°C", "Temperature at which it gives none; .inf for never.")
+    ]
 
     @field_validator("initial")
     @classmethod
@@ -170,20 +198,27 @@ class Elasticity(FileModel):
             "Stiffness between the motor, seen through its gear, and what it moves; .inf where that is rigid.",
         ),
     ]
-    damping: Annotated[RowOf[NotNegative], quantity("Nm s/rad", "Damping beside the stiffness.")] = (0.0,)
-    backlash: Annotated[RowOf[_Play], quantity("rad", "Play: the way, at the joint, from one flank to the other.")] = (
-        0.0,
-    )
+    damping: Annotated[
+        RowOf[NotNegative], quantity("Nm s/rad", "Damping beside the stiffness.")
+    ] = (0.0,)
+    backlash: Annotated[
+        RowOf[_Play], quantity("rad", "Play: the way, at the joint, from one flank to the other.")
+    ] = (0.0,)
     friction: Annotated[
-        Literal["motor", "link"], Field(description="The side on which the friction of the joints acts.")
+        Literal["motor", "link"],
+        Field(description="The side on which the friction of the joints acts."),
     ] = "motor"
 
     @model_validator(mode="after")
     def _check_rigid_drives(self) -> Elasticity:
         for key, values in (("damping", self.damping), ("backlash", self.backlash)):
-            for i, (stiffness, value) in enumerate(zip(self.stiffness, values * len(self.stiffness), strict=False)):
+            for i, (stiffness, value) in enumerate(
+                zip(self.stiffness, values * len(self.stiffness), strict=False)
+            ):
                 if value > 0.0 and math.isinf(stiffness):
-                    raise refusal(f"{key}[{i}]", value, f"0 for a rigid drive, as stiffness[{i}] is infinite")
+                    raise refusal(
+                        f"{key}[{i}]", value, f"0 for a rigid drive, as stiffness[{i}] is infinite"
+                    )
         return self
 
     @property
@@ -203,11 +238,14 @@ class Transmission(FileModel):
     gear: Annotated[
         RowOf[float],
         quantity(
-            "1", "Motor revolutions per joint revolution; negative where they turn against each other.", path="gear"
+            "1",
+            "Motor revolutions per joint revolution; negative where they turn against each other.",
+            path="gear",
         ),
     ]
     rotor_inertia: Annotated[
-        RowOf[NotNegative], quantity("kg m^2", "Rotor inertia seen from the joint (armature).", path="rotor_inertia")
+        RowOf[NotNegative],
+        quantity("kg m^2", "Rotor inertia seen from the joint (armature).", path="rotor_inertia"),
     ]
     coupling: Annotated[
         _Rows,
@@ -231,28 +269,45 @@ class Motors(FileModel):
     """Motors and amplifiers."""
 
     torque_constant: Annotated[
-        RowOf[Positive], quantity("Nm/A", "Motor torque per current, motor side.", path="torque_constant")
+        RowOf[Positive],
+        quantity("Nm/A", "Motor torque per current, motor side.", path="torque_constant"),
     ]
-    peak_current: Annotated[RowOf[Positive], quantity("A", "The most that the amplifier gives.", path="peak_current")]
+    peak_current: Annotated[
+        RowOf[Positive], quantity("A", "The most that the amplifier gives.", path="peak_current")
+    ]
 
 
 class Encoders(FileModel):
     """Encoders of all motors."""
 
     counts_per_revolution: Annotated[
-        int, quantity("1", "Encoder counts per motor revolution.", ge=16, le=2**30, path="encoder_counts")
+        int,
+        quantity(
+            "1", "Encoder counts per motor revolution.", ge=16, le=2**30, path="encoder_counts"
+        ),
     ]
     velocity_bandwidth: Annotated[
-        float, quantity("Hz", "Bandwidth of the drive's velocity observer.", gt=0.0, path="velocity_bandwidth")
+        float,
+        quantity(
+            "Hz", "Bandwidth of the drive's velocity observer.", gt=0.0, path="velocity_bandwidth"
+        ),
     ]
 
 
 class Brakes(FileModel):
     """Closed brakes, joint side."""
 
-    torque: Annotated[RowOf[Positive], quantity("Nm", "What the brake holds at most.", path="brake_torque")]
-    stiffness: Annotated[RowOf[Positive], quantity("Nm/rad", "Stiffness of the closed brake.", path="brake_stiffness")]
-    damping: Annotated[RowOf[NotNegative], quantity("Nm s/rad", "Damping of the closed brake.", path="brake_damping")]
+    torque: Annotated[
+        RowOf[Positive], quantity("Nm", "What the brake holds at most.", path="brake_torque")
+    ]
+    stiffness: Annotated[
+        RowOf[Positive],
+        quantity("Nm/rad", "Stiffness of the closed brake.", path="brake_stiffness"),
+    ]
+    damping: Annotated[
+        RowOf[NotNegative],
+        quantity("Nm s/rad", "Damping of the closed brake.", path="brake_damping"),
+    ]
 
 
 class Springs(FileModel):
@@ -260,15 +315,23 @@ class Springs(FileModel):
 
     torque: Annotated[
         RowOf[NotNegative],
-        quantity("Nm", "Amplitude k of the torque -k sin(q) on each joint; 0 for none.", path="spring_torque"),
+        quantity(
+            "Nm",
+            "Amplitude k of the torque -k sin(q) on each joint; 0 for none.",
+            path="spring_torque",
+        ),
     ]
 
 
 class EndStops(FileModel):
     """Mechanical end stops, joint side."""
 
-    stiffness: Annotated[RowOf[NotNegative], quantity("Nm/rad", "Stiffness of the end stops.", path="stop_stiffness")]
-    damping: Annotated[RowOf[NotNegative], quantity("Nm s/rad", "Damping of the end stops.", path="stop_damping")]
+    stiffness: Annotated[
+        RowOf[NotNegative], quantity("Nm/rad", "Stiffness of the end stops.", path="stop_stiffness")
+    ]
+    damping: Annotated[
+        RowOf[NotNegative], quantity("Nm s/rad", "Damping of the end stops.", path="stop_damping")
+    ]
 
 
 RIGID: Final = Elasticity(stiffness=(math.inf,))
@@ -301,7 +364,9 @@ class DriveParameters(FileModel):
     elasticity: Elasticity = Field(default_factory=lambda: RIGID, validate_default=True)
     cogging: Cogging = Field(default_factory=lambda: NO_COGGING)
     winding: Windings = Field(default_factory=lambda: COLD, validate_default=True)
-    current_sensor: CurrentSensor = Field(default_factory=lambda: IDEAL_SENSOR, validate_default=True)
+    current_sensor: CurrentSensor = Field(
+        default_factory=lambda: IDEAL_SENSOR, validate_default=True
+    )
 
     @field_validator("elasticity", "winding", "current_sensor")
     @classmethod
@@ -311,7 +376,11 @@ class DriveParameters(FileModel):
         if transmission is None:
             return block
         count = len(transmission.gear)
-        single = {key: values * count for key, values in block if isinstance(values, tuple) and len(values) == 1}
+        single = {
+            key: values * count
+            for key, values in block
+            if isinstance(values, tuple) and len(values) == 1
+        }
         return block.model_copy(update=single)
 
     @model_validator(mode="after")
@@ -321,19 +390,36 @@ class DriveParameters(FileModel):
             turns = self.turning.turns
         if len(turns) != joints:
             raise refusal(
-                "transmission.coupling", turns.tolist(), f"{joints} rows and columns, as many as gear has numbers"
+                "transmission.coupling",
+                turns.tolist(),
+                f"{joints} rows and columns, as many as gear has numbers",
             )
-        check_counts([block for block in self if block[0] != "cogging"], joints, "transmission.gear")
+        check_counts(
+            [block for block in self if block[0] != "cogging"], joints, "transmission.gear"
+        )
         if any(len(row) != joints for row in self.cogging.amplitude):
-            raise refusal("cogging.amplitude", self.cogging.amplitude, f"rows of {joints} numbers, one for each motor")
+            raise refusal(
+                "cogging.amplitude",
+                self.cogging.amplitude,
+                f"rows of {joints} numbers, one for each motor",
+            )
         for i in np.flatnonzero(self.elasticity.elastic):
             if self.rotor_inertia[i] == 0.0:
-                raise refusal(f"transmission.rotor_inertia[{i}]", 0.0, "a number > 0 where the drive is elastic")
+                raise refusal(
+                    f"transmission.rotor_inertia[{i}]",
+                    0.0,
+                    "a number > 0 where the drive is elastic",
+                )
         return self
 
     @model_serializer(mode="wrap")
     def _without_ideal_blocks(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        used = (self.elasticity.used, self.cogging.used, self.winding.used, self.current_sensor.used)
+        used = (
+            self.elasticity.used,
+            self.cogging.used,
+            self.winding.used,
+            self.current_sensor.used,
+        )
         ideal = [name for name, block_used in zip(_OPTIONAL, used, strict=True) if not block_used]
         return {name: value for name, value in write(self).items() if name not in ideal}
 

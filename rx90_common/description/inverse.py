@@ -189,7 +189,10 @@ def pose_error(chain: RigidChain, q: Array, pose: Pose) -> Array:
     """Return the twist (6,) in m and rad that leads from the pose at `q` (n,) to `pose`, in base axes."""
     here = forward(chain, q)
     return np.concatenate(
-        [pose.position - here.position, rotation_vector(product(pose.rotation, transposed(here.rotation)))]
+        [
+            pose.position - here.position,
+            rotation_vector(product(pose.rotation, transposed(here.rotation))),
+        ]
     )
 
 
@@ -235,7 +238,9 @@ def solve_anywhere(robot: RobotModel, pose: Pose) -> Array | None:
     For arms without a closed form: Newton steps from the middle of the joint ranges, then from a fixed
     sequence of places within them, so that the same pose always gives the same answer.
     """
-    guesses = np.random.default_rng(0).uniform(robot.lower, robot.upper, (_RESTARTS, len(robot.lower)))
+    guesses = np.random.default_rng(0).uniform(
+        robot.lower, robot.upper, (_RESTARTS, len(robot.lower))
+    )
     guesses[0] = (robot.lower + robot.upper) / 2.0
     for guess in guesses:
         q = solve_near(robot.chain, pose, guess)

@@ -30,7 +30,11 @@ _STDERR = 2
 
 
 def joint_model(
-    urdf: Path, joints: Sequence[str] | None, *, massless: bool = False, followed: Sequence[str] = ()
+    urdf: Path,
+    joints: Sequence[str] | None,
+    *,
+    massless: bool = False,
+    followed: Sequence[str] = (),
 ) -> Any:
     """Return Pinocchio's model of these joints; the others are held at zero.
 
@@ -81,7 +85,9 @@ def joint_model(
 def movable_joints(urdf: Path) -> tuple[str, ...]:
     """Return the joints of a URDF with one coordinate, as logs have: revolute, continuous or prismatic, no mimics."""
     model, root = _read_urdf(urdf)
-    mimics = {joint.get("name") for joint in root.findall("joint") if joint.find("mimic") is not None}
+    mimics = {
+        joint.get("name") for joint in root.findall("joint") if joint.find("mimic") is not None
+    }
     pairs = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
     return tuple(str(name) for name, joint in pairs if joint.nv == 1 and str(name) not in mimics)
 
@@ -89,11 +95,15 @@ def movable_joints(urdf: Path) -> tuple[str, ...]:
 def all_joints(urdf: Path) -> tuple[str, ...]:
     """Return all movable joints of a URDF, mimics and joints of several coordinates included."""
     return tuple(
-        joint.get("name", "") for joint in _read_urdf(urdf)[1].findall("joint") if joint.get("type") != "fixed"
+        joint.get("name", "")
+        for joint in _read_urdf(urdf)[1].findall("joint")
+        if joint.get("type") != "fixed"
     )
 
 
-def robot_of_urdf(urdf: Path, joints: Sequence[str] | None = None, tool: Path | None = None) -> RobotModel:
+def robot_of_urdf(
+    urdf: Path, joints: Sequence[str] | None = None, tool: Path | None = None
+) -> RobotModel:
     """Read a serial arm from the URDF of any robot.
 
     Args:
@@ -102,7 +112,9 @@ def robot_of_urdf(urdf: Path, joints: Sequence[str] | None = None, tool: Path | 
         tool: a tool file; the link `tool0` carries it.
     """
     names = list(joint_model(urdf, joints).names)[1:]
-    return load_robot(urdf, tool, [name for name in all_joints(urdf) if name not in names], replaced=True)
+    return load_robot(
+        urdf, tool, [name for name in all_joints(urdf) if name not in names], replaced=True
+    )
 
 
 def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
@@ -114,14 +126,20 @@ def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
         root = read_urdf(urdf, "utf-8")
         with _caught_stderr(lines):
             model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
-        if any(line.startswith("Error:") for line in lines):  # an inertial that cannot be read is left out
+        if any(
+            line.startswith("Error:") for line in lines
+        ):  # an inertial that cannot be read is left out
             raise ValueError
         _check_numbers(urdf, root)
         return model, root
     except UnicodeDecodeError as error:
-        raise IdentificationError(f"{plain(urdf)}: cannot be read ({error}); accepted: a URDF file") from error
+        raise IdentificationError(
+            f"{plain(urdf)}: cannot be read ({error}); accepted: a URDF file"
+        ) from error
     except (ValueError, RuntimeError, ET.ParseError) as error:
-        message = next((line.removeprefix("Error:") for line in lines if line.startswith("Error:")), str(error))
+        message = next(
+            (line.removeprefix("Error:") for line in lines if line.startswith("Error:")), str(error)
+        )
         reason = " ".join(message.split()) or type(error).__name__
         raise IdentificationError(f"{urdf}: no URDF that Pinocchio can read ({reason})") from error
 
@@ -143,7 +161,9 @@ def _check_numbers(urdf: Path, root: ET.Element) -> None:
     for path in _NUMBERS:
         for element in root.iterfind(path):
             for key, text in element.items():
-                if key in _KEYS and not all(abs(float(word)) <= _MAX_NUMBER for word in text.split()):
+                if key in _KEYS and not all(
+                    abs(float(word)) <= _MAX_NUMBER for word in text.split()
+                ):
                     raise IdentificationError(
                         f"{plain(urdf)}: <{element.tag} {key}={quoted(text)}>; accepted: numbers up to {_MAX_NUMBER:g}"
                     )

@@ -50,13 +50,17 @@ def _poses(chain: RigidChain, q: Array) -> Iterator[Pose]:
         position = position + rotated(rotation, origin)
         yield Pose(position, rotation)
         rotation = product(rotation, axis_rotation_by_component(axis, q[..., i]))
-    yield Pose(position + rotated(rotation, chain.tcp_position), product(rotation, chain.tcp_rotation))
+    yield Pose(
+        position + rotated(rotation, chain.tcp_position), product(rotation, chain.tcp_rotation)
+    )
 
 
 def _frames(chain: RigidChain, q: Array) -> _Frames:
     *joints, tcp = _poses(chain, q)
     axes = [rotated(joint.rotation, axis) for joint, axis in zip(joints, chain.axis, strict=True)]
-    return _Frames(np.stack([joint.position for joint in joints], axis=-2), np.stack(axes, axis=-2), tcp)
+    return _Frames(
+        np.stack([joint.position for joint in joints], axis=-2), np.stack(axes, axis=-2), tcp
+    )
 
 
 def forward(chain: RigidChain, q: Array) -> Pose:
@@ -166,7 +170,9 @@ def polyline_error(points: Array, corners: Array, near: Index | None = None) -> 
     for line in (np.clip(nearest - 1, 0, last), np.clip(nearest, 0, last)):
         off = points - corners[line]
         at = np.sum(off * lines[line], axis=1) / ways[line]
-        at = np.clip(at, np.where(line == 0, -np.inf, 0.0), np.where(line == last, np.inf, ways[line]))
+        at = np.clip(
+            at, np.where(line == 0, -np.inf, 0.0), np.where(line == last, np.inf, ways[line])
+        )
         gap = length(off - (at / ways[line])[:, None] * lines[line])
         closer = gap < across
         along[closer] = (distance[line] + at)[closer]
@@ -180,7 +186,9 @@ def tip_position(chain: RigidChain, q: Array) -> Array:
     `kinematics.forward` without the rotations: the point is carried from the tip to the base, which costs an eighth of
     the time.
     """
-    angles = np.ascontiguousarray(q.T)  # in columns a row for each coordinate: half the time of rows
+    angles = np.ascontiguousarray(
+        q.T
+    )  # in columns a row for each coordinate: half the time of rows
     sine, cosine = sines_cosines(angles)  # compiled: a twentieth of NumPy's time
     point = np.broadcast_to(chain.tcp_position[:, None], (3, len(q)))
     for i in range(len(chain.axis) - 1, -1, -1):
@@ -205,7 +213,9 @@ class LinkTransforms:
 
     def __init__(self, placements: Sequence[Placement]) -> None:
         self.links = tuple((place.parent, place.child) for place in placements)
-        self.translation = np.array([place.xyz for place in placements], dtype=np.float64).reshape(-1, 3)
+        self.translation = np.array([place.xyz for place in placements], dtype=np.float64).reshape(
+            -1, 3
+        )
         self._still = np.array([rpy_quaternion(place.rpy) for place in placements]).reshape(-1, 4)
         axes = np.array([place.axis for place in placements], dtype=np.float64).reshape(-1, 3)
         half_turn = np.column_stack([axes / length(axes)[:, None], np.zeros(len(axes))])

@@ -24,7 +24,9 @@ class PoseList(FileModel):
     """Where experiments take place."""
 
     positions: Annotated[
-        tuple[PerJoint, ...], Field(strict=False, min_length=1), quantity("rad", "Joint positions of each pose.")
+        tuple[PerJoint, ...],
+        Field(strict=False, min_length=1),
+        quantity("rad", "Joint positions of each pose."),
     ]
 
 
@@ -53,8 +55,12 @@ def check_pose(pose_name: str, pose: Sequence[float], robot: RobotModel) -> None
     """Check that an arm has a pose, rad, within its joints' ranges."""
     count = len(robot.joint_names)
     if len(pose) != count:
-        raise IdentificationError(f"{pose_name}: {counted(len(pose), 'number')}; accepted: {count}, one for each joint")
-    for name, value, low, high in zip(robot.joint_names, pose, robot.lower, robot.upper, strict=True):
+        raise IdentificationError(
+            f"{pose_name}: {counted(len(pose), 'number')}; accepted: {count}, one for each joint"
+        )
+    for name, value, low, high in zip(
+        robot.joint_names, pose, robot.lower, robot.upper, strict=True
+    ):
         if not low <= value <= high:
             raise IdentificationError(
                 f"{pose_name}: {name} is {value:g} rad; accepted: [{low:.4g}, {high:.4g}], the joint's limits"

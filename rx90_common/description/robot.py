@@ -28,7 +28,8 @@ TOOL_LINK = "tool"
 TCP_LINK = "tcp"
 _COLOR = "0.75 0.15 0.15 1"
 _Degrees: TypeAlias = Annotated[
-    tuple[Annotated[float, Field(ge=-360.0, le=360.0)], ...], Field(strict=False, min_length=3, max_length=3)
+    tuple[Annotated[float, Field(ge=-360.0, le=360.0)], ...],
+    Field(strict=False, min_length=3, max_length=3),
 ]
 
 
@@ -39,7 +40,10 @@ class Inertial(FileModel):
     center_of_mass: Annotated[Triple, quantity("m", "Centre of mass.")]
     inertia: Annotated[
         Annotated[tuple[float, ...], Field(strict=False, min_length=6, max_length=6)],
-        quantity("kg m^2", "Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass; such as a body can have."),
+        quantity(
+            "kg m^2",
+            "Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass; such as a body can have.",
+        ),
     ]
 
     @model_validator(mode="after")
@@ -80,7 +84,9 @@ class Tool(FileModel):
     inertial: Inertial
     tcp: ToolCentrePoint
     visual: Annotated[Shape | None, Field(description="The tool's shape, for display.")] = None
-    collision: Annotated[Shape | None, Field(description="The tool's shape, for collision checks.")] = None
+    collision: Annotated[
+        Shape | None, Field(description="The tool's shape, for collision checks.")
+    ] = None
 
 
 def load_tool(file: Path) -> Tool:
@@ -92,7 +98,9 @@ def _text(values: tuple[float, ...]) -> str:
     return " ".join(repr(value) for value in values)
 
 
-def _fixed_joint(robot: ET.Element, child: str, xyz: tuple[float, ...], rpy: tuple[float, ...]) -> None:
+def _fixed_joint(
+    robot: ET.Element, child: str, xyz: tuple[float, ...], rpy: tuple[float, ...]
+) -> None:
     joint = ET.SubElement(robot, "joint", name=f"{child}_fixed", type="fixed")
     ET.SubElement(joint, "origin", xyz=_text(xyz), rpy=_text(rpy))
     ET.SubElement(joint, "parent", link=MOUNT_LINK)
@@ -104,7 +112,9 @@ def _add_shape(link: ET.Element, kind: str, shape: Shape | None) -> list[ET.Elem
     elements = []
     for start, end, radius in () if shape is None else shape.cylinders.entries.values():
         element = ET.SubElement(link, kind)
-        ET.SubElement(element, "origin", xyz=_text((0.0, 0.0, (start + end) / 2.0)), rpy=_text((0.0,) * 3))
+        ET.SubElement(
+            element, "origin", xyz=_text((0.0, 0.0, (start + end) / 2.0)), rpy=_text((0.0,) * 3)
+        )
         geometry = ET.SubElement(element, "geometry")
         ET.SubElement(geometry, "cylinder", radius=repr(radius), length=repr(end - start))
         elements.append(element)
@@ -115,7 +125,9 @@ def attach(root: ET.Element, tool: Tool, urdf: Path) -> None:
     """Add the links `tool` (inertia, shape) and `tcp` (frame) below `tool0` to the root of a URDF, in place."""
     links = [link.get("name") for link in root.findall("link")]
     if MOUNT_LINK not in links:
-        raise ConfigError(f"{urdf}: link '{MOUNT_LINK}' is None; accepted: a link of that name to carry the tool")
+        raise ConfigError(
+            f"{urdf}: link '{MOUNT_LINK}' is None; accepted: a link of that name to carry the tool"
+        )
     for name in (TOOL_LINK, TCP_LINK):
         if name in links:
             raise ConfigError(
@@ -128,7 +140,9 @@ def attach(root: ET.Element, tool: Tool, urdf: Path) -> None:
     ET.SubElement(inertial, "mass", value=repr(tool.inertial.mass))
     keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     ET.SubElement(
-        inertial, "inertia", {key: repr(value) for key, value in zip(keys, tool.inertial.inertia, strict=True)}
+        inertial,
+        "inertia",
+        {key: repr(value) for key, value in zip(keys, tool.inertial.inertia, strict=True)},
     )
     for element in _add_shape(link, "visual", tool.visual):
         material = ET.SubElement(element, "material", name="tool")
@@ -172,10 +186,14 @@ class RobotModel:
         joints = len(self.joint_names)
         if len(values) != joints:
             accepted = f"accepted: {joints}, one for each joint of {plain(self.model.name)}"
-            raise ConfigError(f"{plain(file)}: {name} has {counted(len(values), 'number')}; {accepted}")
+            raise ConfigError(
+                f"{plain(file)}: {name} has {counted(len(values), 'number')}; {accepted}"
+            )
 
 
-def load_robot(urdf: Path, tool: Path | None = None, held: Collection[str] = (), replaced: bool = False) -> RobotModel:
+def load_robot(
+    urdf: Path, tool: Path | None = None, held: Collection[str] = (), replaced: bool = False
+) -> RobotModel:
     """Read a URDF of a fixed-base serial arm with 1 to 7 revolute joints, and the tool it carries.
 
     Without a tool the tool centre point is link `tool0`, or the last link if there is none. `held` joints
@@ -190,7 +208,9 @@ def load_robot(urdf: Path, tool: Path | None = None, held: Collection[str] = (),
     except (ValueError, RuntimeError) as error:
         file.refuse("the URDF", " ".join(str(error).split()), "what Pinocchio can read")
     names = tuple(file.limits)
-    limits = np.array([(lim.lower, lim.upper, lim.velocity, lim.effort) for lim in file.limits.values()])
+    limits = np.array(
+        [(lim.lower, lim.upper, lim.velocity, lim.effort) for lim in file.limits.values()]
+    )
     lower, upper, velocity, effort = (np.ascontiguousarray(column) for column in limits.T)
     frame = _tcp_frame(file, model, tool is not None)
     chain = rigid_chain(file, frame)

@@ -50,7 +50,11 @@ DESCRIPTIONS = {
 def shipped_robots() -> tuple[str, ...]:
     """Return the names of the robots and of their variants, ROBOT/VARIANT, that the package ships, sorted."""
     robots = config_path(ROBOTS)
-    return tuple(sorted(path.parent.relative_to(robots).as_posix() for path in robots.rglob(FILES["friction"])))
+    return tuple(
+        sorted(
+            path.parent.relative_to(robots).as_posix() for path in robots.rglob(FILES["friction"])
+        )
+    )
 
 
 def robot_folder(name: str) -> Path:
@@ -61,14 +65,21 @@ def robot_folder(name: str) -> Path:
     try:
         own = Path(name).expanduser()
         there = own.is_dir() and bool(name)
-    except (OSError, RuntimeError):  # a name longer than the system takes, a home folder that there is not
+    except (
+        OSError,
+        RuntimeError,
+    ):  # a name longer than the system takes, a home folder that there is not
         there = False
     if there:
         if not any((own / file).is_file() for file in FILES.values()):
             files = listed(FILES.values())
-            raise ConfigError(f"robot {quoted(name)}: none of a robot's files; accepted: a folder with {files}")
+            raise ConfigError(
+                f"robot {quoted(name)}: none of a robot's files; accepted: a folder with {files}"
+            )
         return own
-    raise ConfigError(f"robot {quoted(name)}: no such folder; accepted: {', '.join(shipped)}, or a robot folder's path")
+    raise ConfigError(
+        f"robot {quoted(name)}: no such folder; accepted: {', '.join(shipped)}, or a robot folder's path"
+    )
 
 
 def _default(role: str) -> Path:
@@ -93,7 +104,9 @@ class RobotFiles:
     @classmethod
     def of_options(cls, options: object) -> RobotFiles:
         """Return the files given by a command's options, `robot` and the keys of FILES; see `named`."""
-        return cls.named(getattr(options, "robot", None), **{key: getattr(options, key, None) for key in FILES})
+        return cls.named(
+            getattr(options, "robot", None), **{key: getattr(options, key, None) for key in FILES}
+        )
 
     @classmethod
     def named(cls, robot: str | None = None, /, **names: str | None) -> RobotFiles:
@@ -134,7 +147,9 @@ class RobotFiles:
         """
         path: Path | None = getattr(self, role)
         if path is None:
-            raise ConfigError(f"{self.urdf.parent}: no {FILES[role]}; accepted: a {role} file, in the folder or named")
+            raise ConfigError(
+                f"{self.urdf.parent}: no {FILES[role]}; accepted: a {role} file, in the folder or named"
+            )
         return path
 
     def optional_texts(self) -> dict[str, str]:
@@ -143,7 +158,11 @@ class RobotFiles:
         Without the line that names a JSON schema for editors: its path begins at the file's own folder.
         """
         paths = {"tool": self.tool, "task": self.task, "poses": self.poses}
-        texts = {FILES[role]: path.read_text(encoding="utf-8") for role, path in paths.items() if path is not None}
+        texts = {
+            FILES[role]: path.read_text(encoding="utf-8")
+            for role, path in paths.items()
+            if path is not None
+        }
         return {name: re.sub(_SCHEMA_LINE, "", text) for name, text in texts.items()}
 
     def text(self, role: str) -> str:
@@ -163,7 +182,11 @@ def provenance_of(files: RobotFiles) -> dict[str, list[str]]:
         if path is None or role == "urdf":
             continue
         content = read_yaml(path)
-        blocks = {name: block.get("provenance") for name, block in content.items() if isinstance(block, dict)}
+        blocks = {
+            name: block.get("provenance")
+            for name, block in content.items()
+            if isinstance(block, dict)
+        }
         texts = [f"{name} {provenance}" for name, provenance in blocks.items() if provenance]
         found[role] = texts or [str(content.get("provenance") or "not said")]
     return found

@@ -124,7 +124,11 @@ def turn_between(first_rpy: ArrayLike, last_rpy: ArrayLike) -> Array:
 def rotation_vector(rotation: Array) -> Array:
     """Return the rotation vector (3,), rad, of a rotation (3, 3) by less than half a turn."""
     skew = 0.5 * np.array(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
     )
     sine = length(skew)
     trace = rotation[0, 0] + rotation[1, 1] + rotation[2, 2]
@@ -139,7 +143,9 @@ def _rotation_vector(vector: Array, scalar: float) -> Array:
 
 def solved(matrix: Array, right: Array) -> Array:
     """Return the solutions (..., 6) for matrices (..., 6, 6) and right sides (..., 6); not finite if there is none."""
-    matrices = np.array(np.broadcast_to(matrix, (*right.shape, 6)), dtype=np.float64).reshape(-1, 6, 6)
+    matrices = np.array(np.broadcast_to(matrix, (*right.shape, 6)), dtype=np.float64).reshape(
+        -1, 6, 6
+    )
     solution = np.array(right, dtype=np.float64).reshape(-1, 6)
     _eliminate(matrices, solution)
     return solution.reshape(right.shape)

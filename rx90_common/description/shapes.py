@@ -47,7 +47,11 @@ def visual_shapes(robot: RobotModel) -> list[VisualShape]:
         joint = int(shape.parentJoint) - 1  # Pinocchio's joint 0 is the world
         place = shape.placement
         color = np.array(shape.meshColor[:3])
-        found.append(VisualShape(kind, half, joint, np.array(place.translation), np.array(place.rotation), color))
+        found.append(
+            VisualShape(
+                kind, half, joint, np.array(place.translation), np.array(place.rotation), color
+            )
+        )
     return found
 
 
@@ -58,12 +62,18 @@ def drawn_shapes(robot: RobotModel) -> list[VisualShape]:
     """
     try:
         return visual_shapes(robot) or _rods(robot)
-    except (ConfigError, ValueError):  # the latter of Pinocchio, for files of meshes that are not there
+    except (
+        ConfigError,
+        ValueError,
+    ):  # the latter of Pinocchio, for files of meshes that are not there
         return _rods(robot)
 
 
 def _rods(robot: RobotModel) -> list[VisualShape]:
-    places = [robot.model.jointPlacements[number + 1].translation for number in range(len(robot.joint_names))]
+    places = [
+        robot.model.jointPlacements[number + 1].translation
+        for number in range(len(robot.joint_names))
+    ]
     places.append(robot.model.frames[robot.model.getFrameId(robot.tcp_frame)].placement.translation)
     radius = _ROD * float(sum(np.linalg.norm(place) for place in places))
     found = []
@@ -73,9 +83,13 @@ def _rods(robot: RobotModel) -> list[VisualShape]:
             ball = np.full(3, _BALL * radius)
             found.append(VisualShape("Sphere", ball, joint, np.zeros(3), np.eye(3), _BALL_COLOR))
         if length > radius:
-            turn = np.array(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), place / length).matrix())
+            turn = np.array(
+                pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), place / length).matrix()
+            )
             half = np.array([radius, radius, 0.5 * length])
-            found.append(VisualShape("Cylinder", half, joint, 0.5 * np.array(place), turn, _ROD_COLOR))
+            found.append(
+                VisualShape("Cylinder", half, joint, 0.5 * np.array(place), turn, _ROD_COLOR)
+            )
     return found
 
 

@@ -185,9 +185,13 @@ class UrdfFile:
             self.refuse(f"the number of {tag}s", 0, f"at least one {tag}")
         return found
 
-    def _numbers(self, element: ET.Element | None, where: str, key: str, default: str | None) -> list[float]:
+    def _numbers(
+        self, element: ET.Element | None, where: str, key: str, default: str | None
+    ) -> list[float]:
         text = default if element is None else element.get(key, default)
-        accepted = "a finite number" if default is None else f"{len(default.split())} finite numbers"
+        accepted = (
+            "a finite number" if default is None else f"{len(default.split())} finite numbers"
+        )
         if text is None:
             raise ConfigError(f"{self.file}: {where} {key} is missing; accepted: a finite number")
         try:
@@ -199,7 +203,9 @@ class UrdfFile:
             self.refuse(f"{where} {key}", text, accepted)
         return values
 
-    def _origin(self, parent: ET.Element, where: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def _origin(
+        self, parent: ET.Element, where: str
+    ) -> tuple[tuple[float, ...], tuple[float, ...]]:
         origin = parent.find("origin")
         xyz = self._numbers(origin, f"{where} origin", "xyz", "0 0 0")
         rpy = self._numbers(origin, f"{where} origin", "rpy", "0 0 0")
@@ -213,7 +219,9 @@ class UrdfFile:
         origin = self._origin(inertial, where)
         mass = self._numbers(inertial.find("mass"), f"{where} mass", "value", None)[0]
         element = inertial.find("inertia")
-        values = tuple(self._numbers(element, f"{where} inertia", key, None)[0] for key in _INERTIA_KEYS)
+        values = tuple(
+            self._numbers(element, f"{where} inertia", key, None)[0] for key in _INERTIA_KEYS
+        )
         if mass == 0.0 and not any(values):  # some write it so where there is nothing but a frame
             return None
         if mass <= 0.0:
@@ -267,16 +275,24 @@ class UrdfFile:
         for name, joint in self._joints.items():
             kind = joint.get("type")
             if kind not in {"revolute", "fixed"}:
-                self.refuse(f"joint '{name}' type", kind, f"revolute (1 to {MAX_JOINTS} of them in series) or fixed")
+                self.refuse(
+                    f"joint '{name}' type",
+                    kind,
+                    f"revolute (1 to {MAX_JOINTS} of them in series) or fixed",
+                )
             if joint.find("mimic") is not None:
                 self.refuse(f"joint '{name}'", "mimic", "joints that move by themselves")
             self._origin(joint, f"joint '{name}'")
             for end in ("parent", "child"):
                 if self._end(joint, end) not in self.links:
-                    self.refuse(f"joint '{name}' {end} link", self._end(joint, end), "a link of this file")
+                    self.refuse(
+                        f"joint '{name}' {end} link", self._end(joint, end), "a link of this file"
+                    )
             child = self._end(joint, "child")
             if child in above:
-                self.refuse(f"joint '{name}' child link", child, f"a link not yet below '{above[child]}'")
+                self.refuse(
+                    f"joint '{name}' child link", child, f"a link not yet below '{above[child]}'"
+                )
             above[child] = name
         roots = [name for name in self.links if name not in above]
         if len(roots) != 1:
@@ -305,9 +321,15 @@ class UrdfFile:
         """Return the revolute joints from base to tip; check that there are not too many, in series, with mass."""
         moving = [name for name, joint in self._joints.items() if joint.get("type") == "revolute"]
         if not 1 <= len(moving) <= MAX_JOINTS:
-            self.refuse("the number of revolute joints", len(moving), f"1 to {MAX_JOINTS}, in series")
+            self.refuse(
+                "the number of revolute joints", len(moving), f"1 to {MAX_JOINTS}, in series"
+            )
         paths = {
-            name: [j for j in self._path(self._end(self._joints[name], "child"), self._parent_joint) if j in moving]
+            name: [
+                j
+                for j in self._path(self._end(self._joints[name], "child"), self._parent_joint)
+                if j in moving
+            ]
             for name in moving
         }
         last = max(paths, key=lambda name: len(paths[name]))
@@ -323,10 +345,15 @@ class UrdfFile:
         for name in self.links:
             body = bodies.get(name)
             carried = [j for j in self._path(name, self._parent_joint) if j in chain][-1:]
-            if body is not None and carried:  # a fixed link may have any inertia, and in many files has
+            if (
+                body is not None and carried
+            ):  # a fixed link may have any inertia, and in many files has
                 fault = None if self._replaced else inertia_fault(body.inertia)
                 if fault is not None:
-                    text = " ".join(f"{key}={value:g}" for key, value in zip(_INERTIA_KEYS, body.inertia, strict=True))
+                    text = " ".join(
+                        f"{key}={value:g}"
+                        for key, value in zip(_INERTIA_KEYS, body.inertia, strict=True)
+                    )
                     self.refuse(f"link '{name}' inertial inertia", text, fault)
                 heavy.update(carried)
         for joint in chain:

@@ -36,8 +36,12 @@ class Wall:
         name = name or f"--wall {' '.join(f'{number:g}' for number in numbers)}"
         length = math.hypot(*numbers[:3])
         if not (len(numbers) == 4 and length > 0.0 and math.isfinite(sum(numbers))):
-            raise IdentificationError(f"{name}; accepted: NX NY NZ D, of which the first three are not all 0")
+            raise IdentificationError(
+                f"{name}; accepted: NX NY NZ D, of which the first three are not all 0"
+            )
         distance = numbers[3] / length
         if not abs(distance) <= _FARTHEST:
-            raise IdentificationError(f"{name}: {abs(distance):g} m from the base; accepted: up to {_FARTHEST:g} m")
+            raise IdentificationError(
+                f"{name}: {abs(distance):g} m from the base; accepted: up to {_FARTHEST:g} m"
+            )
         return cls(tuple(number / length for number in numbers[:3]), distance, name)

@@ -24,7 +24,8 @@ SELF_CLEARANCE = 0.005
 """Least distance between shapes of the arm, m."""
 _THICKNESS = 20.0  # m, of the box that stands for a plane
 _BOX = (
-    '<collision><origin xyz="{place}" rpy="{turn}"/><geometry><box size="{size} {size} {size}"/></geometry></collision>'
+    '<collision><origin xyz="{place}" rpy="{turn}"/>'
+    '<geometry><box size="{size} {size} {size}"/></geometry></collision>'
 )
 _POINT = '<collision><geometry><sphere radius="1e-6"/></geometry></collision>'
 _LEAST_CHANGE = 1e-5  # m over the joints' ranges: a shape that only turns in place, such as a shoulder, does not count
@@ -49,11 +50,15 @@ class Workspace:
         least: their least distances, m, shape (p,).
     """
 
-    def __init__(self, robot: RobotModel, walls: Sequence[Wall], home: ArrayLike, clearance: float) -> None:
+    def __init__(
+        self, robot: RobotModel, walls: Sequence[Wall], home: ArrayLike, clearance: float
+    ) -> None:
         root = ET.fromstring(robot.urdf)
         self.meshes = _take_meshes(root)
         self._model = robot.model
-        self._shapes = pin.buildGeomFromUrdfString(robot.model, ET.tostring(root, encoding="unicode"), pin.COLLISION)
+        self._shapes = pin.buildGeomFromUrdfString(
+            robot.model, ET.tostring(root, encoding="unicode"), pin.COLLISION
+        )
         bodies = range(len(self._shapes.geometryObjects))
         *planes, point = _planes_and_point(walls)
         points = [self._add(point, frame) for frame in (*robot.joint_names, robot.tcp_frame)]
@@ -61,14 +66,24 @@ class Workspace:
         joints = [shape.parentJoint for shape in self._shapes.geometryObjects]
         names = [shape.name.rpartition("_")[0] for shape in self._shapes.geometryObjects]
         near_planes = [pair for pair in product((*bodies, *points), behind) if joints[pair[0]] > 0]
-        poses = np.random.default_rng(0).uniform(robot.lower, robot.upper, (_RANDOM_POSES, len(robot.lower)))
+        poses = np.random.default_rng(0).uniform(
+            robot.lower, robot.upper, (_RANDOM_POSES, len(robot.lower))
+        )
         self._count(near_planes)
         turns_in_place = np.ptp(self.distances(poses), axis=0) < _LEAST_CHANGE
-        near_planes = [pair for pair, still in zip(near_planes, turns_in_place, strict=True) if not still]
-        near_itself = [pair for pair in combinations(bodies, 2) if abs(joints[pair[0]] - joints[pair[1]]) > 1]
+        near_planes = [
+            pair for pair, still in zip(near_planes, turns_in_place, strict=True) if not still
+        ]
+        near_itself = [
+            pair for pair in combinations(bodies, 2) if abs(joints[pair[0]] - joints[pair[1]]) > 1
+        ]
         self._count(near_itself)
         touches = self.distances(np.asarray(home, dtype=np.float64)[None])[0] < SELF_CLEARANCE
-        rough = [f"{names[a]} and {names[b]}" for (a, b), near in zip(near_itself, touches, strict=True) if near]
+        rough = [
+            f"{names[a]} and {names[b]}"
+            for (a, b), near in zip(near_itself, touches, strict=True)
+            if near
+        ]
         self.uncounted = tuple(dict.fromkeys(rough))
         near_itself = [pair for pair, near in zip(near_itself, touches, strict=True) if not near]
         self._count([*near_planes, *near_itself])
@@ -127,7 +142,11 @@ def _planes_and_point(walls: Sequence[Wall]) -> list[Any]:
         yaw = math.atan2(wall.normal[1], wall.normal[0])
         shapes.append(_BOX.format(place=place, turn=f"0 {pitch!r} {yaw!r}", size=_THICKNESS))
     text = f'<robot name="around"><link name="around">{"".join(shapes)}{_POINT}</link></robot>'
-    around = list(pin.buildGeomFromUrdfString(pin.buildModelFromXML(text), text, pin.COLLISION).geometryObjects)
+    around = list(
+        pin.buildGeomFromUrdfString(
+            pin.buildModelFromXML(text), text, pin.COLLISION
+        ).geometryObjects
+    )
     for wall, shape in zip(walls, around, strict=False):
         shape.name = f"{wall.name}_0"
     return around

@@ -111,7 +111,9 @@ class _Fitted:
         """Return the name of a parameter of an element's parts that ends at a bound; "" if there is none."""
         law = self.laws[number]
         place = places(self.laws)[number]
-        names = [_at_bound(law, part, self.fit, place) for part in Part if part in law.parts & self.parts]
+        names = [
+            _at_bound(law, part, self.fit, place) for part in Part if part in law.parts & self.parts
+        ]
         return next(filter(None, names), "")
 
 
@@ -135,7 +137,9 @@ def choose(
     candidates: dict[Parts, _Fitted] = {}
     weight = None
     for some in reversed(_combinations(parts)):
-        progress(", ".join(part.value for part in Part if part in some) or "Coulomb and viscous friction")
+        progress(
+            ", ".join(part.value for part in Part if part in some) or "Coulomb and viscous friction"
+        )
         richer_laws = [replace(law, parts=law.parts | some) for law in laws]
         candidates[some] = _Fitted(richer_laws, fit_laws(rows, richer_laws, weight), some)
         weight = candidates[some].fit.weight
@@ -152,7 +156,9 @@ def choose(
                 trials.append(_trial(rows, number, part, candidates[_less(best, part)], richer))
     choice = Choice(tuple(chosen), fit_laws(rows, chosen, None, known), tuple(trials))
     choice = without_bound_parts(rows, choice)
-    tried = [number for number, law in enumerate(choice.laws) if everywhere or Part.STRIBECK in law.parts]
+    tried = [
+        number for number, law in enumerate(choice.laws) if everywhere or Part.STRIBECK in law.parts
+    ]
     if Part.BRISTLE not in parts or not tried:
         return choice
     progress(Part.BRISTLE.value)
@@ -162,20 +168,31 @@ def choose(
 def _combinations(parts: Sequence[Part]) -> list[Parts]:
     """Return the combinations of steady parts, the smallest first; a rise's exponent needs the rise."""
     steady = [part for part in parts if part is not Part.BRISTLE]
-    sets = [frozenset(some) for count in range(len(steady) + 1) for some in combinations(steady, count)]
+    sets = [
+        frozenset(some) for count in range(len(steady) + 1) for some in combinations(steady, count)
+    ]
     lone = Part.STRIBECK in steady
-    return [some for some in sets if not (lone and Part.STRIBECK_EXPONENT in some and Part.STRIBECK not in some)]
+    return [
+        some
+        for some in sets
+        if not (lone and Part.STRIBECK_EXPONENT in some and Part.STRIBECK not in some)
+    ]
 
 
 def _best(rows: FrictionRows, number: int, candidates: dict[Parts, _Fitted]) -> Parts:
     """Return the parts of an element: from none on, the best of the smallest larger combinations that help."""
     element_rows = rows.elements[number].rows
-    squares = {parts: float(candidate.squares[element_rows].sum()) for parts, candidate in candidates.items()}
+    squares = {
+        parts: float(candidate.squares[element_rows].sum())
+        for parts, candidate in candidates.items()
+    }
     best: Parts = frozenset()
     for count in range(1, 1 + max(map(len, candidates))):
         larger = [parts for parts in candidates if len(parts) == count and parts > best]
         helpful = [
-            parts for parts in larger if _trial(rows, number, Part.STRIBECK, candidates[best], candidates[parts]).kept
+            parts
+            for parts in larger
+            if _trial(rows, number, Part.STRIBECK, candidates[best], candidates[parts]).kept
         ]
         best = min(helpful, key=lambda parts: squares[parts], default=best)
     return best
@@ -195,7 +212,9 @@ def _with_bristles(rows: FrictionRows, choice: Choice, tried: Sequence[int]) -> 
     for number in tried:
         laws[number] = replace(laws[number], parts=laws[number].parts | {Part.BRISTLE})
     before = _Fitted(list(choice.laws), choice.fit, frozenset())
-    after = _Fitted([*laws], fit_laws(rows, laws, choice.fit.weight, before.values), frozenset(Part))
+    after = _Fitted(
+        [*laws], fit_laws(rows, laws, choice.fit.weight, before.values), frozenset(Part)
+    )
     trials = [_trial(rows, number, Part.BRISTLE, before, after) for number in tried]
     for trial in trials:
         if not trial.kept:
@@ -203,15 +222,22 @@ def _with_bristles(rows: FrictionRows, choice: Choice, tried: Sequence[int]) -> 
     choice = replace(choice, trials=(*choice.trials, *trials))
     if tuple(laws) == choice.laws:
         return choice
-    known = [{name: values[name] for name in law.names} for law, values in zip(laws, after.values, strict=True)]
-    return without_bound_parts(rows, replace(choice, laws=tuple(laws), fit=fit_laws(rows, laws, None, known)))
+    known = [
+        {name: values[name] for name in law.names}
+        for law, values in zip(laws, after.values, strict=True)
+    ]
+    return without_bound_parts(
+        rows, replace(choice, laws=tuple(laws), fit=fit_laws(rows, laws, None, known))
+    )
 
 
 def without_bound_parts(rows: FrictionRows, choice: Choice) -> Choice:
     """Return the choice without the parts that have a parameter at a bound, fitted anew, the last part first."""
     laws = []
     for law, place in zip(choice.laws, places(choice.laws), strict=True):
-        bad = [part for part in Part if part in law.parts and _at_bound(law, part, choice.fit, place)]
+        bad = [
+            part for part in Part if part in law.parts and _at_bound(law, part, choice.fit, place)
+        ]
         laws.append(replace(law, parts=_less(law.parts, bad[-1])) if bad else law)
     if tuple(laws) == choice.laws:
         return choice
@@ -232,7 +258,9 @@ def _at_bound(law: Law, part: Part, result: Fit, place: slice) -> str:
         if name.startswith(_OWN[part]):
             top = math.exp(result.problem.upper[number]) / MOST_STRIBECK
             slope = name == "omega_s" and math.exp(result.x[number]) > STEEP * top
-            if (slope or result.at_bound[number]) and not (falls and (slope or name.startswith("tau_c"))):
+            if (slope or result.at_bound[number]) and not (
+                falls and (slope or name.startswith("tau_c"))
+            ):
                 return name
     return ""
 

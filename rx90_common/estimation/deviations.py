@@ -99,7 +99,9 @@ def deviations(result: Fit) -> Deviations:
     return Deviations(covariance, determined, blocks)
 
 
-def law_deviations(rows: FrictionRows, laws: Sequence[Law], result: Fit, tried: Iterable[Part]) -> Deviations:
+def law_deviations(
+    rows: FrictionRows, laws: Sequence[Law], result: Fit, tried: Iterable[Part]
+) -> Deviations:
     """Return the deviations of a fit's parameters, with the doubt about parts that were tried and left out.
 
     Those parts are added where they change nothing: a rise of 0 at the middle of the speeds, exponents of 1. A bristle
@@ -116,7 +118,9 @@ def law_deviations(rows: FrictionRows, laws: Sequence[Law], result: Fit, tried: 
     values = []
     chosen = []
     spread = []
-    for law, element, known in zip(richest, rows.elements, fitted_values(laws, result.x), strict=True):
+    for law, element, known in zip(
+        richest, rows.elements, fitted_values(laws, result.x), strict=True
+    ):
         middle = np.mean(law.bounds(element.speeds), axis=0)
         usual = {"rise": USUAL_RISE * known["tau_c"] or math.inf, "alpha": USUAL_EXPONENT}
         for name, half in zip(law.names, middle.tolist(), strict=True):
@@ -126,7 +130,11 @@ def law_deviations(rows: FrictionRows, laws: Sequence[Law], result: Fit, tried: 
     x = np.array(values)
     problem = replace(rows.problem(richest, x), spread=np.array(spread))
     slopes = problem.model(x)[1]
-    whole = deviations(replace(result, problem=problem, x=x, slopes=slopes, at_bound=np.zeros(len(x), dtype=np.bool_)))
+    whole = deviations(
+        replace(
+            result, problem=problem, x=x, slopes=slopes, at_bound=np.zeros(len(x), dtype=np.bool_)
+        )
+    )
     places = np.flatnonzero(chosen + [True] * len(result.linear))
     determined = whole.determined[places]
     determined[: len(result.x)] &= ~result.at_bound

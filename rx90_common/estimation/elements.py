@@ -71,12 +71,18 @@ class FrictionRows:
     block: Index
     prior: Array | None = None
     prior_target: Array | None = None
-    _kept: dict[int, tuple[Law, bytes, tuple[Array, Array]]] = field(default_factory=dict, repr=False)
+    _kept: dict[int, tuple[Law, bytes, tuple[Array, Array]]] = field(
+        default_factory=dict, repr=False
+    )
 
     def problem(self, laws: Sequence[Law], start: Array | None = None) -> Problem:
         """Return the problem of one law for each element; its parameters stand one element after the other."""
-        bounds = [law.bounds(element.speeds) for law, element in zip(laws, self.elements, strict=True)]
-        first = [law.starts(element.speeds)[0] for law, element in zip(laws, self.elements, strict=True)]
+        bounds = [
+            law.bounds(element.speeds) for law, element in zip(laws, self.elements, strict=True)
+        ]
+        first = [
+            law.starts(element.speeds)[0] for law, element in zip(laws, self.elements, strict=True)
+        ]
 
         def model(x: Array) -> tuple[Array, Array]:
             total = np.zeros(len(self.target))
@@ -126,10 +132,15 @@ Known = Sequence[Mapping[str, float]]
 
 def fitted_values(laws: Sequence[Law], x: Array) -> list[dict[str, float]]:
     """Return the fitted parameters of each element by name."""
-    return [dict(zip(law.names, x[place].tolist(), strict=True)) for law, place in zip(laws, places(laws), strict=True)]
+    return [
+        dict(zip(law.names, x[place].tolist(), strict=True))
+        for law, place in zip(laws, places(laws), strict=True)
+    ]
 
 
-def fit_laws(rows: FrictionRows, laws: Sequence[Law], weight: Array | None = None, known: Known | None = None) -> Fit:
+def fit_laws(
+    rows: FrictionRows, laws: Sequence[Law], weight: Array | None = None, known: Known | None = None
+) -> Fit:
     """Return the fit of one law for each element.
 
     Args:
@@ -142,15 +153,23 @@ def fit_laws(rows: FrictionRows, laws: Sequence[Law], weight: Array | None = Non
     return fit(rows.problem(laws, begin), weight)
 
 
-def find_start(rows: FrictionRows, laws: Sequence[Law], weight: Array | None, known: Known | None) -> Array:
+def find_start(
+    rows: FrictionRows, laws: Sequence[Law], weight: Array | None, known: Known | None
+) -> Array:
     """Return a start of all parameters, shape (q,): each element's shapes are sought with the others' as they are."""
     problem = rows.problem(laws)
     if weight is None:
-        size = [max(float(np.std(rows.target[rows.group == g])), 1e-12) for g in range(int(rows.group.max()) + 1)]
+        size = [
+            max(float(np.std(rows.target[rows.group == g])), 1e-12)
+            for g in range(int(rows.group.max()) + 1)
+        ]
         weight = 1.0 / np.array(size)[rows.group] ** 2
     projected = Projected(problem, weight)
     known = [{} for _ in laws] if known is None else known
-    starts = [law.starts(element.speeds, own) for law, element, own in zip(laws, rows.elements, known, strict=True)]
+    starts = [
+        law.starts(element.speeds, own)
+        for law, element, own in zip(laws, rows.elements, known, strict=True)
+    ]
     x = np.concatenate([shapes[0] for shapes in starts])
     for place, shapes in zip(places(laws), starts, strict=True):
         candidates = []

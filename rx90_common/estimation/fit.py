@@ -87,7 +87,11 @@ class Problem:
     @cached_property
     def known(self) -> Index:
         """Return the numbers of the parameters x that have a prior."""
-        return np.flatnonzero(np.isfinite(self.spread)) if self.spread is not None else np.empty(0, dtype=np.intp)
+        return (
+            np.flatnonzero(np.isfinite(self.spread))
+            if self.spread is not None
+            else np.empty(0, dtype=np.intp)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +152,10 @@ def fit(problem: Problem, weight: Array | None = None) -> Fit:
     if weight is not None:
         return _fitted(problem, problem.start, weight)
     groups = int(problem.group.max(initial=-1)) + 1
-    least = max(LEAST_NOISE * float(np.abs(problem.target).max(initial=0.0)), np.finfo(np.float64).tiny ** 0.25)
+    least = max(
+        LEAST_NOISE * float(np.abs(problem.target).max(initial=0.0)),
+        np.finfo(np.float64).tiny ** 0.25,
+    )
     spread = np.array([np.std(problem.target[problem.group == g]) for g in range(groups)])
     x = problem.start
     linear = Projected(problem, 1.0 / np.maximum(spread, least)[problem.group] ** 2).linear(x)
@@ -183,7 +190,9 @@ class Projected:
         matrix, self._prior_target = problem.prior_rows
         self._columns = np.vstack([problem.linear * self._root[:, None], matrix])
         self._basis = independent_basis(self._columns)
-        self._kept = lru_cache(1)(self._at)  # residuals and derivatives are asked for at the same values
+        self._kept = lru_cache(1)(
+            self._at
+        )  # residuals and derivatives are asked for at the same values
 
     def residual(self, x: Array) -> Array:
         """Return the residuals' components along the derivatives and their length across, shape (q + 1,).
@@ -221,7 +230,9 @@ class Projected:
             size = _lengths(jacobian)
             value = jacobian @ x[shown] - self.residual(x)
             with np.errstate(invalid="ignore"):  # SciPy's way to bounds at infinity
-                step = lsq_linear(jacobian / size, value, (lower[shown] * size, upper[shown] * size))
+                step = lsq_linear(
+                    jacobian / size, value, (lower[shown] * size, upper[shown] * size)
+                )
             if step.cost < least:
                 least = float(step.cost)
                 best = x.copy()
@@ -238,7 +249,10 @@ class Projected:
         if len(known):
             assert problem.spread is not None
             from_prior = np.eye(len(x))[known]
-            rows = np.column_stack([x[known] - problem.start[known], from_prior]) / problem.spread[known, None]
+            rows = (
+                np.column_stack([x[known] - problem.start[known], from_prior])
+                / problem.spread[known, None]
+            )
             both = np.vstack([both, rows])
         length = np.linalg.norm(both, axis=0)
         both /= np.where(length > 0.0, length, 1.0)
@@ -249,7 +263,9 @@ class Projected:
     def _weighted(self, x: Array) -> tuple[Array, Array]:
         torque, slopes = self._problem.model(x)
         value = np.concatenate([(self._problem.target - torque) * self._root, self._prior_target])
-        slopes = np.vstack([slopes * self._root[:, None], np.zeros((len(self._prior_target), len(x)))])
+        slopes = np.vstack(
+            [slopes * self._root[:, None], np.zeros((len(self._prior_target), len(x)))]
+        )
         return value, slopes
 
 
@@ -306,10 +322,15 @@ def _at_bound(problem: Problem, x: Array, residual: Array, jacobian: Array) -> M
     """Return which parameters a bound holds: they are there, or a Gauss-Newton step of those that are not passes it."""
     size = _lengths(jacobian)
     width = problem.upper - problem.lower
-    share = NEAR_BOUND * float(np.linalg.norm(residual)) / size  # of a torque without an upper bound
+    share = (
+        NEAR_BOUND * float(np.linalg.norm(residual)) / size
+    )  # of a torque without an upper bound
     margin = np.where(np.isfinite(width), NEAR_BOUND * width, share)
     near = (x - problem.lower <= margin) | (problem.upper - x <= margin)
     free = ~near
     step = np.zeros(len(x))
-    step[free] = np.linalg.lstsq(jacobian[:, free] / size[free], -residual, rcond=SQUARED_RANK)[0] / size[free]
+    step[free] = (
+        np.linalg.lstsq(jacobian[:, free] / size[free], -residual, rcond=SQUARED_RANK)[0]
+        / size[free]
+    )
     return np.asarray(near | (x + step < problem.lower) | (x + step > problem.upper))

@@ -145,19 +145,31 @@ class Law:
             for name, value in zip(unknown, values, strict=True):
                 place = self.names.index(name)
                 share = name in ("omega_s", "stiffness")
-                start[place] = lower[place] + value * (upper[place] - lower[place]) if share else value
+                start[place] = (
+                    lower[place] + value * (upper[place] - lower[place]) if share else value
+                )
             starts.append(start)
         return starts
 
     def values(self, x: Array) -> dict[str, float]:
         """Return all parameters of fitted ones x, shape (k,), by name; those that the law lacks leave it out."""
         fitted = dict(zip(self.names, x.tolist(), strict=True))
-        values = {"c2": 0.0, "c1": 0.0, "omega_s": 1.0, "delta": 1.0, "alpha": 1.0, "stiffness": math.inf}
+        values = {
+            "c2": 0.0,
+            "c1": 0.0,
+            "omega_s": 1.0,
+            "delta": 1.0,
+            "alpha": 1.0,
+            "stiffness": math.inf,
+        }
         for torque in ("tau_c", "rise"):
             common = fitted.pop(torque, 0.0)
             for sign in ("positive", "negative"):
                 values[f"{torque}_{sign}"] = fitted.get(f"{torque}_{sign}", common)
-        return values | {name: math.exp(value) if name in self.shapes else value for name, value in fitted.items()}
+        return values | {
+            name: math.exp(value) if name in self.shapes else value
+            for name, value in fitted.items()
+        }
 
     def curve(self, velocity: Array, x: Array) -> tuple[Array, Array]:
         """Return the torque of steady sliding, Nm, (m,), and its derivatives by the fitted parameters, (m, k).
@@ -169,7 +181,9 @@ class Law:
         values = self.values(x)
         forward = 1.0 * (velocity > 0.0)
         backward = -1.0 * (velocity < 0.0)
-        fading, by_omega_s, by_delta = stribeck_decay_slopes(velocity, values["omega_s"], values["delta"])
+        fading, by_omega_s, by_delta = stribeck_decay_slopes(
+            velocity, values["omega_s"], values["delta"]
+        )
         rise = forward * values["rise_positive"] + backward * values["rise_negative"]
         viscous = viscous_torque(velocity, 1.0, values["alpha"])
         growth = np.log(np.maximum(np.abs(velocity), LINEAR_SPEED))
@@ -209,7 +223,9 @@ class Law:
                 slopes[:, place] = rate
             elif name not in ("c2", "alpha"):
                 moved = x.copy()
-                difference = BRISTLE_STEP * (1.0 if name in self.shapes else max(x[0], _LEAST_COULOMB))
+                difference = BRISTLE_STEP * (
+                    1.0 if name in self.shapes else max(x[0], _LEAST_COULOMB)
+                )
                 moved[place] += difference
                 torque, moved_rate = self._deflected(velocity, step, moved)
                 slopes[:, place] = (torque + damping * moved_rate - total) / difference
@@ -256,7 +272,9 @@ class Law:
         if Part.BRISTLE in self.parts:
             mean = 0.5 * (values["tau_c_positive"] + values["tau_c_negative"])
             stiffness = values["stiffness"]
-            share = {name: stiffness * 0.5 for name in self.names if name.startswith("tau_c_")} or {"tau_c": stiffness}
+            share = {name: stiffness * 0.5 for name in self.names if name.startswith("tau_c_")} or {
+                "tau_c": stiffness
+            }
             state("c0", stiffness * mean, {**share, "stiffness": stiffness * mean})
             state("c1", values["c1"], {"c1": 1.0})
         return found, np.array(rows)
@@ -272,7 +290,9 @@ class Law:
 
 
 @kernel
-def deflect(velocity: Array, sliding: Array, step: float, c0: float, start: float, result: Array) -> None:
+def deflect(
+    velocity: Array, sliding: Array, step: float, c0: float, start: float, result: Array
+) -> None:
     """Deflect a LuGre bristle along a motion, by steps that are exact for a constant velocity, as the plant's are.
 
     Args:

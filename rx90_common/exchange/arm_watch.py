@@ -33,7 +33,9 @@ class _Newest:
     Best effort, unless `latched`: the publisher neither waits for it nor repeats messages that it has missed.
     """
 
-    def __init__(self, node: Node, kind: Any, topic: str, depth: int = 1, *, latched: bool = False) -> None:
+    def __init__(
+        self, node: Node, kind: Any, topic: str, depth: int = 1, *, latched: bool = False
+    ) -> None:
         profile = QoSProfile(
             depth=depth,
             reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
@@ -49,7 +51,9 @@ class _Newest:
 
     def take(self) -> list[Any]:
         """Return the messages received since the last call, as far as they were kept, the newest last."""
-        messages = (self.subscription.handle.take_message(self._kind, self._raw) for _ in range(self._depth))
+        messages = (
+            self.subscription.handle.take_message(self._kind, self._raw) for _ in range(self._depth)
+        )
         return [one[0] for one in takewhile(lambda one: one is not None, messages)]
 
 
@@ -114,7 +118,9 @@ class ArmWatch:
         self._node = node
         self._joints = self._listen(self.namespace)
         self._mode = _Newest(node, String, f"{self.namespace}/{TIME_MODE}", latched=True)
-        self._accepted = _Newest(node, JointTrajectory, f"{full}/{TRAJECTORY_ACCEPTED}", latched=True)
+        self._accepted = _Newest(
+            node, JointTrajectory, f"{full}/{TRAJECTORY_ACCEPTED}", latched=True
+        )
         self._diagnostics = _Newest(node, DiagnosticArray, "/diagnostics", _NODES)
         self.problem = ""
         self.robot: str | None = None
@@ -144,11 +150,15 @@ class ArmWatch:
             try:
                 stamp, position, velocity, effort = self._codec.decode(raw)
                 if position is None or velocity is None or effort is None:
-                    raise ExchangeError("position, velocity or effort is empty; accepted: all three")
+                    raise ExchangeError(
+                        "position, velocity or effort is empty; accepted: all three"
+                    )
             except ExchangeError as error:
                 self.problem = f"{self.topic}: {error}"
                 return []
-            samples.append(JointSample(stamp / NANOSECONDS, position.copy(), velocity.copy(), effort.copy()))
+            samples.append(
+                JointSample(stamp / NANOSECONDS, position.copy(), velocity.copy(), effort.copy())
+            )
         if samples:
             self.problem = ""
         return samples
@@ -157,7 +167,9 @@ class ArmWatch:
         """Bring robot and diagnostics up to date; a few times a second is enough."""
         # The topics for viewers, where there are any: the others cost the simulation a tenth.
         sampled = f"{self.namespace}/{SAMPLED}"
-        space = sampled if self._node.count_publishers(f"{sampled}/joint_states") else self.namespace
+        space = (
+            sampled if self._node.count_publishers(f"{sampled}/joint_states") else self.namespace
+        )
         if self.topic != f"{space}/joint_states":
             self._node.destroy_subscription(self._joints.subscription)
             self._joints = self._listen(space)
@@ -179,8 +191,12 @@ def _trajectory(message: JointTrajectory, joints: Sequence[str]) -> Trajectory |
         return None
     order = [message.joint_names.index(joint) for joint in joints]
     begin = message_time_ns(message.header.stamp) / NANOSECONDS
-    times = [begin + message_time_ns(point.time_from_start) / NANOSECONDS for point in message.points]
+    times = [
+        begin + message_time_ns(point.time_from_start) / NANOSECONDS for point in message.points
+    ]
     position = np.array([point.positions for point in message.points])[:, order]
-    at_rest = np.array([len(point.velocities) > 0 and not any(point.velocities) for point in message.points])
+    at_rest = np.array(
+        [len(point.velocities) > 0 and not any(point.velocities) for point in message.points]
+    )
     at_rest[-1] = True
     return Trajectory(begin, np.array(times), position, at_rest)

@@ -39,7 +39,9 @@ _CLOCK_MONOTONIC: Final = 1
 _RUSAGE_THREAD: Final = 1
 _AT_ONCE_NS: Final = 20_000  # between two messages that were both there; asking for the switches takes half a message
 
-_clock_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.voidptr))
+_clock_gettime: Any = types.ExternalFunction(
+    "clock_gettime", types.int32(types.int32, types.voidptr)
+)
 _getrusage: Any = types.ExternalFunction("getrusage", types.int32(types.int32, types.voidptr))
 _pthread_self: Any = types.ExternalFunction("pthread_self", types.int64())
 _usleep: Any = types.ExternalFunction("usleep", types.int32(types.uint32))

@@ -26,7 +26,13 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.quoting import counted, quoted
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.cdr_stamps import ENCAPSULATION, HEAD, LITTLE_ENDIAN, STAMP_BYTES, cdr_stamp
+from rx90_common.exchange.cdr_stamps import (
+    ENCAPSULATION,
+    HEAD,
+    LITTLE_ENDIAN,
+    STAMP_BYTES,
+    cdr_stamp,
+)
 from rx90_common.kernels.compiled import c_function
 
 _COUNT = struct.Struct("<I")
@@ -102,11 +108,15 @@ class CdrReader:
 
     def __init__(self, raw: bytes) -> None:
         if len(raw) < ENCAPSULATION:
-            raise ExchangeError(f"message is cut off: {counted(len(raw), 'byte')}, no CDR encapsulation")
+            raise ExchangeError(
+                f"message is cut off: {counted(len(raw), 'byte')}, no CDR encapsulation"
+            )
         order = _BYTE_ORDERS.get(bytes(raw[:2]))
         if order is None:
             found = bytes(raw[:2]).hex()
-            raise ExchangeError(f"message has the encapsulation 0x{found}; accepted: plain CDR, 0x0000 or 0x0001")
+            raise ExchangeError(
+                f"message has the encapsulation 0x{found}; accepted: plain CDR, 0x0000 or 0x0001"
+            )
         self._order = order
         self._raw = raw
         self._body = raw[ENCAPSULATION:]
@@ -126,7 +136,9 @@ class CdrReader:
         self._take(STAMP_BYTES, 4, "header.stamp")
         seconds, nanoseconds = cdr_stamp(self._raw)
         if nanoseconds >= NANOSECONDS:
-            raise ExchangeError(f"header.stamp.nanosec is {nanoseconds}; accepted: 0 to {NANOSECONDS - 1}")
+            raise ExchangeError(
+                f"header.stamp.nanosec is {nanoseconds}; accepted: 0 to {NANOSECONDS - 1}"
+            )
         return seconds * NANOSECONDS + nanoseconds
 
     def count(self, what: str, least_bytes: int) -> int:
@@ -135,7 +147,9 @@ class CdrReader:
         remaining = len(self._body) - self._at
         if count * least_bytes > remaining:
             left = counted(remaining, "byte")
-            raise ExchangeError(f"message is cut off in {what}: {counted(count, 'element')} announced, {left} left")
+            raise ExchangeError(
+                f"message is cut off in {what}: {counted(count, 'element')} announced, {left} left"
+            )
         return int(count)
 
     def string(self, what: str) -> str:
@@ -160,7 +174,9 @@ class CdrReader:
         """Expect the end of the message."""
         remaining = len(self._body) - self._at
         if remaining > _MAX_SLACK:
-            raise ExchangeError(f"message has {remaining} bytes behind its end; it is no sensor_msgs/JointState")
+            raise ExchangeError(
+                f"message has {remaining} bytes behind its end; it is no sensor_msgs/JointState"
+            )
 
 
 class TransformCodec:
@@ -239,7 +255,11 @@ def _read_frame(raw_at, expected_at, mask_at, memory_at, shape_at):  # type: ign
     return seconds * NANOSECONDS + nanoseconds
 
 
-@c_function(types.int64(types.int64, types.voidptr, types.voidptr, types.voidptr, types.voidptr, types.voidptr))
+@c_function(
+    types.int64(
+        types.int64, types.voidptr, types.voidptr, types.voidptr, types.voidptr, types.voidptr
+    )
+)
 def _write_frame(stamp_ns, memory_at, first_at, second_at, third_at, shape_at):  # type: ignore[no-untyped-def]
     """Write stamp, ns, and numbers into a frame in `memory`; the address of an absent block is not looked at."""
     shape = carray(shape_at, (_SHAPE_LENGTH,), np.int64)
@@ -294,12 +314,19 @@ class _Layout:
                 self._mask[at : at + numbers] = 0
         self._incoming = incoming = np.zeros(_MARGIN + self.size, dtype=np.uint8)
         self.outgoing = np.concatenate([np.zeros(_MARGIN, dtype=np.uint8), self.expected])
-        first, second, third = (None if at < 0 else incoming[at : at + numbers].view(np.float64) for at in blocks)
+        first, second, third = (
+            None if at < 0 else incoming[at : at + numbers].view(np.float64) for at in blocks
+        )
         self.views: Arrays = (first, second, third)
         # Looked up once: asking an array for its address takes longer than to read a message.
         self.shape_at = self._shape.ctypes.data
         self.outgoing_at = self.outgoing.ctypes.data
-        self.reading = (self.expected.ctypes.data, self._mask.ctypes.data, incoming.ctypes.data, self.shape_at)
+        self.reading = (
+            self.expected.ctypes.data,
+            self._mask.ctypes.data,
+            incoming.ctypes.data,
+            self.shape_at,
+        )
 
 
 class JointStateCodec:
@@ -322,17 +349,24 @@ class JointStateCodec:
             raise ExchangeError("no joint names given; accepted: one or more")
         for name in self.names:
             if not name or "\0" in name or self.names.count(name) > 1:
-                raise ExchangeError(f"joint name {quoted(name)}; accepted: a text without NUL, each name once")
+                raise ExchangeError(
+                    f"joint name {quoted(name)}; accepted: a text without NUL, each name once"
+                )
         if "\0" in frame_id:
             raise ExchangeError(f"frame_id {quoted(frame_id)}; accepted: a text without NUL")
         self._layouts = {
-            present: _Layout(self.names, frame_id, present) for present in product((True, False), repeat=_BLOCKS)
+            present: _Layout(self.names, frame_id, present)
+            for present in product((True, False), repeat=_BLOCKS)
         }
         self._expected = self._layouts[True, True, True]
         self._read_frame = _read_frame()
 
     def encode(
-        self, stamp_ns: int, position: Array | None = None, velocity: Array | None = None, effort: Array | None = None
+        self,
+        stamp_ns: int,
+        position: Array | None = None,
+        velocity: Array | None = None,
+        effort: Array | None = None,
     ) -> bytes:
         """Return the message as CDR, little endian.
 
@@ -348,7 +382,10 @@ class JointStateCodec:
         return self.encoder(position, velocity, effort)(stamp_ns)
 
     def encoder(
-        self, position: Array | None = None, velocity: Array | None = None, effort: Array | None = None
+        self,
+        position: Array | None = None,
+        velocity: Array | None = None,
+        effort: Array | None = None,
     ) -> Callable[[int], bytes]:
         """Return a function from header.stamp in ns to the message with the contents of these arrays at the call.
 
@@ -365,7 +402,9 @@ class JointStateCodec:
                 array.shape == shape and array.dtype == np.float64 and array.flags.c_contiguous
             ):
                 accepted = f"contiguous float64 of shape {shape}"
-                raise ExchangeError(f"array to send is {array.dtype} of shape {array.shape}; accepted: {accepted}")
+                raise ExchangeError(
+                    f"array to send is {array.dtype} of shape {array.shape}; accepted: {accepted}"
+                )
         layout = self._layout(arrays)
         first, second, third = (0 if array is None else array.ctypes.data for array in arrays)
         message = layout.outgoing[_MARGIN:]
@@ -453,16 +492,22 @@ def _parse_joint_state(raw: bytes, names: Sequence[str]) -> tuple[int, Arrays]:
         if name not in names:
             raise ExchangeError(f"joint name {quoted(name)} is unknown; accepted: {accepted}")
         if found.count(name) > 1:
-            raise ExchangeError(f"joint name {quoted(name)} is repeated; accepted: {accepted}, each once")
+            raise ExchangeError(
+                f"joint name {quoted(name)} is repeated; accepted: {accepted}, each once"
+            )
     for name in names:
         if name not in found:
-            raise ExchangeError(f"joint name {quoted(name)} is missing; accepted: {accepted}, each once")
+            raise ExchangeError(
+                f"joint name {quoted(name)} is missing; accepted: {accepted}, each once"
+            )
     order = [found.index(name) for name in names]
     arrays: list[Array | None] = []
     for field in ("position", "velocity", "effort"):
         values = reader.doubles(field)
         if values.size not in (0, len(names)):
-            raise ExchangeError(f"{field} has {counted(values.size, 'element')}; accepted: {len(names)} or none")
+            raise ExchangeError(
+                f"{field} has {counted(values.size, 'element')}; accepted: {len(names)} or none"
+            )
         arrays.append(values[order] if values.size else None)
         for name, value in zip(names, values[order] if values.size else (), strict=False):
             if not math.isfinite(value):

@@ -40,7 +40,9 @@ _BLOCKING_WAITS = 50  # after a busy wait in vain, before the next one
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 _PROBE_TIMEOUT = 1.0  # s
 _LOOK = 1.0  # s between two looks at the graph
-_LOOKS = 8  # in which others must be seen in a row: a process that was killed stays in the graph for 5 s
+_LOOKS = (
+    8  # in which others must be seen in a row: a process that was killed stays in the graph for 5 s
+)
 
 
 class Matches(NamedTuple):
@@ -73,8 +75,12 @@ class TickChannel:
 
     answering = 1
 
-    def __init__(self, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile) -> None:
-        self._lock = lock_publisher(node.context.get_domain_id(), node.resolve_topic_name(publish_topic))
+    def __init__(
+        self, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile
+    ) -> None:
+        self._lock = lock_publisher(
+            node.context.get_domain_id(), node.resolve_topic_name(publish_topic)
+        )
         self.publisher: Publisher = node.create_publisher(JointState, publish_topic, qos)
         self.subscribe_topic = str(node.resolve_topic_name(subscribe_topic))
         # Looked up once: each attribute costs as much as a comparison of the whole message.
@@ -108,10 +114,17 @@ MakeChannel = Callable[[Node, str, str, QoSProfile], TickChannel]
 class Channel(TickChannel):
     """The exchange between processes: a raw publisher and a raw subscription, on a wait set held by hand."""
 
-    def __init__(self, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile) -> None:
+    def __init__(
+        self, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile
+    ) -> None:
         super().__init__(node, publish_topic, subscribe_topic, qos)
         self._subscription = node.create_subscription(
-            JointState, subscribe_topic, never_called, qos, raw=True, callback_group=ManualCallbackGroup()
+            JointState,
+            subscribe_topic,
+            never_called,
+            qos,
+            raw=True,
+            callback_group=ManualCallbackGroup(),
         )
         self._blocking_waits = 0
         self._guard = rclpy_implementation.GuardCondition(node.context.handle)
@@ -177,7 +190,9 @@ class Channel(TickChannel):
 
     def matches(self) -> Matches:
         """Count the present connections of the middleware."""
-        return Matches(self.publisher.get_subscription_count(), self._subscription.get_publisher_count())
+        return Matches(
+            self.publisher.get_subscription_count(), self._subscription.get_publisher_count()
+        )
 
 
 class LocalChannel(TickChannel):
@@ -192,7 +207,9 @@ class LocalChannel(TickChannel):
 
     answering = 0
 
-    def __init__(self, link: LocalLink, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile) -> None:
+    def __init__(
+        self, link: LocalLink, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile
+    ) -> None:
         super().__init__(node, publish_topic, subscribe_topic, qos)
         self._link = link
         self._node = node
@@ -274,7 +291,9 @@ class LocalLink:
         self.serve: Callable[[], None] | None = None
         self.ends: list[LocalChannel] = []
 
-    def end(self, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile) -> LocalChannel:
+    def end(
+        self, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile
+    ) -> LocalChannel:
         """Make an end, as `MakeChannel` does.
 
         Raises:

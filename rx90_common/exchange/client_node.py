@@ -146,18 +146,26 @@ class ServiceCalls:
     def __init__(self, client: ClientNode) -> None:
         self._client = client
         self._callers: dict[str, Client] = {}
-        self._open: list[tuple[ServiceRequest, Future, float, Outcome]] = []  # with the latest time of the answer
+        self._open: list[
+            tuple[ServiceRequest, Future, float, Outcome]
+        ] = []  # with the latest time of the answer
 
     def ask(self, request: ServiceRequest, then: Outcome) -> None:
         """Call a service; `then` is called with the result."""
         if request.service not in self._callers:
-            self._callers[request.service] = self._client.node.create_client(request.kind, request.service)
+            self._callers[request.service] = self._client.node.create_client(
+                request.kind, request.service
+            )
         caller = self._callers[request.service]
         if caller.service_is_ready():
             deadline = time.monotonic() + self._client.timeout
             self._open.append((request, caller.call_async(request.request), deadline, then))
         else:
-            then(ExchangeError(f"there is no service {caller.srv_name}; accepted: while its node runs"))
+            then(
+                ExchangeError(
+                    f"there is no service {caller.srv_name}; accepted: while its node runs"
+                )
+            )
 
     def look(self) -> None:
         """Deliver the answers that have arrived, and report calls that have timed out."""
@@ -175,7 +183,9 @@ class ServiceCalls:
             elif now >= deadline:
                 caller = self._callers[request.service]
                 caller.remove_pending_request(answer)
-                outcome = ExchangeError(f"no answer of {caller.srv_name} within {self._client.timeout:g} s")
+                outcome = ExchangeError(
+                    f"no answer of {caller.srv_name} within {self._client.timeout:g} s"
+                )
             else:
                 self._open.append(call)
                 continue
@@ -193,7 +203,9 @@ def spoken(service: str) -> Callable[[Any], str]:
     return read
 
 
-def subscribe_log(client: ClientNode, nodes: Sequence[str], heard: Callable[[str, str, bool], None]) -> None:
+def subscribe_log(
+    client: ClientNode, nodes: Sequence[str], heard: Callable[[str, str, bool], None]
+) -> None:
     """Call `heard` with each line that one of some nodes logs from now on.
 
     Args:
@@ -203,7 +215,9 @@ def subscribe_log(client: ClientNode, nodes: Sequence[str], heard: Callable[[str
             `ClientNode.spin`.
     """
     # A log bears the absolute name without the first slash, and with dots for the others.
-    names = {client.node.resolve_topic_name(name).strip("/").replace("/", "."): name for name in nodes}
+    names = {
+        client.node.resolve_topic_name(name).strip("/").replace("/", "."): name for name in nodes
+    }
 
     def take(line: Log) -> None:
         if line.name in names:

@@ -86,7 +86,9 @@ def _overridable(node: Node, topic: str, entity: str) -> QoSOverridingOptions:
         if is_given_alone(node, name):  # rclpy's own errors name no parameter
             value = node.get_parameter(name).value
             if isinstance(value, bool) or value not in values:
-                raise ConfigError(f"parameter {plain(name)} is {quoted(value)}; accepted: {accepted}")
+                raise ConfigError(
+                    f"parameter {plain(name)} is {quoted(value)}; accepted: {accepted}"
+                )
             node.undeclare_parameter(name)  # rclpy declares it again, with the value that was given
     return QoSOverridingOptions(list(_ACCEPTED))
 
@@ -94,13 +96,19 @@ def _overridable(node: Node, topic: str, entity: str) -> QoSOverridingOptions:
 def overridable_topics(node: Node) -> str:
     """Return, for a message, the parameters that can be chosen, once the node has all its topics."""
     names = [name for name in node.get_parameters_by_prefix("") if name.startswith(PREFIX)]
-    known = {name.removeprefix(PREFIX).rpartition(".")[0] for name in names if not is_given_alone(node, name)}
+    known = {
+        name.removeprefix(PREFIX).rpartition(".")[0]
+        for name in names
+        if not is_given_alone(node, name)
+    }
     return f"{', '.join(policy.name.lower() for policy in _ACCEPTED)} of {', '.join(sorted(known))}"
 
 
 def publish(node: Node, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
     """Make a publisher whose quality of service the node's parameters may change."""
-    return node.create_publisher(kind, topic, qos, qos_overriding_options=_overridable(node, topic, "publisher"))
+    return node.create_publisher(
+        kind, topic, qos, qos_overriding_options=_overridable(node, topic, "publisher")
+    )
 
 
 def subscribe(
@@ -130,16 +138,25 @@ def subscribe(
             if check is not None:
                 check(raw)
             message = deserialize_message(raw, kind)
-        except (ExchangeError, RuntimeError) as error:  # the middleware's text names a place in its source
+        except (
+            ExchangeError,
+            RuntimeError,
+        ) as error:  # the middleware's text names a place in its source
             type_name = f"{kind.__module__.split('.')[0]}/{kind.__name__}"
-            wrong = error if isinstance(error, ExchangeError) else f"{counted(len(raw), 'byte')}, no {type_name}"
+            wrong = (
+                error
+                if isinstance(error, ExchangeError)
+                else f"{counted(len(raw), 'byte')}, no {type_name}"
+            )
             log.say("bytes", f"{subscription.topic_name}: {wrong}; the message is ignored")
             return
         callback(message)
 
     log = error_log(node)
     overrides = _overridable(node, topic, "subscription")
-    subscription = node.create_subscription(kind, topic, take, qos, raw=True, qos_overriding_options=overrides)
+    subscription = node.create_subscription(
+        kind, topic, take, qos, raw=True, qos_overriding_options=overrides
+    )
 
 
 class ManualCallbackGroup(CallbackGroup):
@@ -168,15 +185,22 @@ def fitting_subscriptions(node: Node, publisher: Publisher) -> int:
     for info in node.get_subscriptions_info_by_topic(publisher.topic_name):
         requested = info.qos_profile
         # If no times are required, the graph reports infinite ones, which the check would compare.
-        times = {name: getattr(requested, name) for name in ("deadline", "liveliness_lease_duration")}
+        times = {
+            name: getattr(requested, name) for name in ("deadline", "liveliness_lease_duration")
+        }
         times = {name: time for name, time in times.items() if time < Infinite}
-        profile = QoSProfile(depth=1, reliability=requested.reliability, durability=requested.durability, **times)
+        profile = QoSProfile(
+            depth=1, reliability=requested.reliability, durability=requested.durability, **times
+        )
         fitting += qos_check_compatible(offered, profile)[0] != QoSCompatibility.ERROR
     return fitting
 
 
 def wait_until_matched(
-    node: Node, publishers: Sequence[Publisher], attempts: int, stop: Callable[[], bool] = lambda: False
+    node: Node,
+    publishers: Sequence[Publisher],
+    attempts: int,
+    stop: Callable[[], bool] = lambda: False,
 ) -> bool:
     """Wait until every subscription in the graph is matched with our publishers; return whether it is.
 
@@ -259,5 +283,9 @@ class Listeners:
             for publisher, answering in (*self._watched, *((other, 0) for other in self.others())):
                 with suppress(InvalidHandle):  # destroyed: nothing to wait for
                     while publisher.get_subscription_count() > answering:
-                        if publisher.wait_for_all_acked(_SLICE) or self._interrupted() or self._clock() > deadline:
+                        if (
+                            publisher.wait_for_all_acked(_SLICE)
+                            or self._interrupted()
+                            or self._clock() > deadline
+                        ):
                             break

@@ -19,7 +19,12 @@ from typing import Any, Protocol, TypeVar
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.msg import State
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.executors import (
+    Executor,
+    ExternalShutdownException,
+    MultiThreadedExecutor,
+    SingleThreadedExecutor,
+)
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -44,7 +49,9 @@ from rx90_common.process.interrupts import end_with, stop_request
 _SPIN_SLICE = 0.2  # s
 _SWITCH_INTERVAL = 5e-4  # s
 _LAST_TICK_S = 5.0  # the longest wait for the end of a ticking thread
-_SHUTDOWN_S = 25.0  # after which a node that does not end is cut off: the middleware may wait for ever
+_SHUTDOWN_S = (
+    25.0  # after which a node that does not end is cut off: the middleware may wait for ever
+)
 _ENTITIES = {  # what a configured node may have made, and the function that destroys it
     "publishers": "destroy_publisher",
     "subscriptions": "destroy_subscription",
@@ -63,7 +70,9 @@ class Diagnostics:
         collect: returns the level (OK, WARN or ERROR of DiagnosticStatus), the message and the values.
     """
 
-    def __init__(self, node: Node, collect: Callable[[], tuple[bytes, str, dict[str, str]]]) -> None:
+    def __init__(
+        self, node: Node, collect: Callable[[], tuple[bytes, str, dict[str, str]]]
+    ) -> None:
         self._node = node
         self._collect = collect
         self._publisher = publish(node, DiagnosticArray, "/diagnostics", CLOCK_QOS)
@@ -131,7 +140,10 @@ def _spin(members: Sequence[TickingNode], services: int, cut_off: threading.Time
         except BaseException as error:
             failures.append(error)
 
-    threads = [threading.Thread(target=run, args=(one.tick_loop,), name="ticks", daemon=True) for one in members]
+    threads = [
+        threading.Thread(target=run, args=(one.tick_loop,), name="ticks", daemon=True)
+        for one in members
+    ]
     count = max(services, len(nodes))
     executor = SingleThreadedExecutor() if count == 1 else MultiThreadedExecutor(count)
     for node in nodes:
@@ -155,7 +167,9 @@ def _spin(members: Sequence[TickingNode], services: int, cut_off: threading.Time
         for member, thread in zip(members, threads, strict=True):
             member.stop()
             thread.join(_LAST_TICK_S)
-            if thread.is_alive():  # in the middleware, whose end would wait for this thread for ever
+            if (
+                thread.is_alive()
+            ):  # in the middleware, whose end would wait for this thread for ever
                 end_with(FAILED)
         executor.shutdown()
         for node in nodes:
@@ -216,9 +230,13 @@ class ManagedNode(LifecycleNode):
         error: why the last transition was refused, if it was.
     """
 
-    def __init__(self, name: str, own_args: Sequence[str], managed: Managed, make_channel: MakeChannel) -> None:
+    def __init__(
+        self, name: str, own_args: Sequence[str], managed: Managed, make_channel: MakeChannel
+    ) -> None:
         with named_parameters():
-            super().__init__(name, cli_args=list(own_args), automatically_declare_parameters_from_overrides=True)
+            super().__init__(
+                name, cli_args=list(own_args), automatically_declare_parameters_from_overrides=True
+            )
         self._managed = managed
         self._make_channel = make_channel
         self._channel: TickChannel | None = None
@@ -249,7 +267,9 @@ class ManagedNode(LifecycleNode):
         """Set parameters, all or none; one that there is not is refused with those that there are."""
         for parameter in parameter_list:
             if not self.has_parameter(parameter.name):
-                return SetParametersResult(successful=False, reason=unknown_parameter(self, parameter.name))
+                return SetParametersResult(
+                    successful=False, reason=unknown_parameter(self, parameter.name)
+                )
         return super().set_parameters_atomically(parameter_list)
 
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
@@ -302,7 +322,11 @@ class ManagedNode(LifecycleNode):
         except Exception as error:  # the service answers whatever happens
             self.error = error
             if not self.starting:
-                text = str(error) if isinstance(error, Rx90Error) else f"{type(error).__name__}: {reason(error)}"
+                text = (
+                    str(error)
+                    if isinstance(error, Rx90Error)
+                    else f"{type(error).__name__}: {reason(error)}"
+                )
                 self.get_logger().error(one_line(f"cannot {what}: {text}"))
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
@@ -328,7 +352,9 @@ def started(members: Iterable[_Member]) -> list[_Member]:
     for node in own:
         node.starting = True
         _insist(node, node.trigger_configure())
-    refuse_unknown_parameters([(member.node, member.node.parameters) for member in members if member.node.configured])
+    refuse_unknown_parameters(
+        [(member.node, member.node.parameters) for member in members if member.node.configured]
+    )
     for node in own:
         _insist(node, node.trigger_activate())
         node.starting = False

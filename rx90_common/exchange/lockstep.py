@@ -19,9 +19,13 @@ from rx90_common.exchange.cdr_stamps import cdr_stamp_ns
 from rx90_common.exchange.channel import TickChannel
 
 _SLICE = 0.05  # s, the longest blind wait: between slices requests and the graph are looked at
-_PATIENCE = 1.0  # s of silence before it is announced and, with a peer there, the message is sent again
+_PATIENCE = (
+    1.0  # s of silence before it is announced and, with a peer there, the message is sent again
+)
 _OTHER_CLOCK_NS = 3600 * NANOSECONDS
-_FOREIGN_COUNT = 3  # commands with other stamps in one wait that are no repetitions, nor from before a reset
+_FOREIGN_COUNT = (
+    3  # commands with other stamps in one wait that are no repetitions, nor from before a reset
+)
 _CONFLICTS = 3  # different commands for a stamp that make two controllers; a restart in mid-tick makes one at most
 
 
@@ -149,7 +153,11 @@ class LockstepSimulation:
                 current = channel.matches()
                 there = current.publishers > 0 and current.subscriptions > 0
                 # Who always answers with the stamp before is right when the states come again, once a second.
-                if foreign and max(foreign, self._foreign) >= _FOREIGN_COUNT and now - began > _PATIENCE:
+                if (
+                    foreign
+                    and max(foreign, self._foreign) >= _FOREIGN_COUNT
+                    and now - began > _PATIENCE
+                ):
                     if not complained:
                         complained = True
                         if foreign >= _FOREIGN_COUNT:
@@ -159,7 +167,8 @@ class LockstepSimulation:
                             "the states that a command answers; time stands still"
                         )
                 elif (
-                    now - began > (_PATIENCE if foreign == 0 else _FOREIGN_COUNT * _PATIENCE) or current.publishers == 0
+                    now - began > (_PATIENCE if foreign == 0 else _FOREIGN_COUNT * _PATIENCE)
+                    or current.publishers == 0
                 ):
                     self._announce_wait(stamp_ns, current.publishers > 0, unusable)
                 if there and (current != matches or now - sent > _PATIENCE):
@@ -188,7 +197,11 @@ class LockstepSimulation:
         """Count a command that nobody waits for; a repetition of the accepted one is usual, another one is not."""
         self.ignored += 1
         self._foreign += raw != self._accepted
-        if raw == self._accepted or cdr_stamp_ns(raw) != cdr_stamp_ns(self._accepted) or self._two_controllers:
+        if (
+            raw == self._accepted
+            or cdr_stamp_ns(raw) != cdr_stamp_ns(self._accepted)
+            or self._two_controllers
+        ):
             return
         self._conflicts += 1
         if self._conflicts >= _CONFLICTS and self._channel.matches().publishers > 1:

@@ -23,7 +23,9 @@ def message_class(topic: str, msgtype: str) -> Any:
     except ImportError as error:
         raise BagError(f"{topic} has type {msgtype}: {missing_module(error) or error}") from error
     except AttributeError as error:
-        raise BagError(f"{topic} has type {msgtype}, which the {package} that is installed does not have") from error
+        raise BagError(
+            f"{topic} has type {msgtype}, which the {package} that is installed does not have"
+        ) from error
 
 
 def types_with(msgtype: str, known: Stores = Stores.ROS2_JAZZY) -> Typestore:

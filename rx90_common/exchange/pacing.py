@@ -24,7 +24,9 @@ def check_factor(factor: float) -> float:
     """Return a real-time factor, checked."""
     # Not slower, because a sleep cannot be interrupted and a tick would take seconds.
     if not (factor == 0.0 or 0.001 <= factor <= 1000.0):
-        raise ConfigError(f"real_time_factor is {factor}; accepted: a number in [0.001, 1000], or 0 for no pacing")
+        raise ConfigError(
+            f"real_time_factor is {factor}; accepted: a number in [0.001, 1000], or 0 for no pacing"
+        )
     return factor
 
 
@@ -136,7 +138,9 @@ class ThrottledLog:
         clock: the steady clock, s.
     """
 
-    def __init__(self, announce: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, announce: Callable[[str], None], clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._announce = announce
         self._clock = clock
         self._due: dict[str, float] = {}
@@ -150,7 +154,9 @@ class ThrottledLog:
             return
         self._due[kind] = now + _LINE_PERIOD
         suppressed = self._suppressed.pop(kind, 0)
-        self._announce(one_line(text) + (f" (and {counted(suppressed, 'time')} before)" if suppressed else ""))
+        self._announce(
+            one_line(text) + (f" (and {counted(suppressed, 'time')} before)" if suppressed else "")
+        )
 
 
 class OnceLog:
@@ -163,7 +169,9 @@ class OnceLog:
         clock: the steady clock, s.
     """
 
-    def __init__(self, announce: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, announce: Callable[[str], None], clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._announce = announce
         self._clock = clock
         self._last: dict[str, float] = {}

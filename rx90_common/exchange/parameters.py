@@ -22,10 +22,24 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_common.base.models import FileModel, JsonSchema, Model, as_refusal, fault_lines, quantity, schema_of
+from rx90_common.base.models import (
+    FileModel,
+    JsonSchema,
+    Model,
+    as_refusal,
+    fault_lines,
+    quantity,
+    schema_of,
+)
 from rx90_common.base.quoting import nearest, plain, question
 from rx90_common.base.rates import Rates
-from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, FILES, RobotFiles, robot_folder
+from rx90_common.description.robot_files import (
+    DEFAULT_ROBOT,
+    DESCRIPTIONS,
+    FILES,
+    RobotFiles,
+    robot_folder,
+)
 from rx90_common.exchange.endpoints import PREFIX, is_given_alone, overridable_topics, ros_time
 from rx90_common.exchange.topics import PARAMETERS
 
@@ -33,7 +47,9 @@ OF_ROS = ("use_sim_time", "start_type_description_service")
 """Parameters that rclpy declares and looks after itself."""
 Effective = Callable[[int], None]
 """To be called, on the executor's thread, with the simulated time, ns, of the first tick that has a change."""
-_Group = tuple[tuple[str, ...], Callable[[Mapping[str, Any]], Any], Callable[[Any, Effective], None]]
+_Group = tuple[
+    tuple[str, ...], Callable[[Mapping[str, Any]], Any], Callable[[Any, Effective], None]
+]
 _REMEMBERED = 100  # changes that a recorder gets which comes later
 AnyNodeModel = TypeVar("AnyNodeModel", bound="NodeModel")
 
@@ -48,7 +64,9 @@ class NodeModel(Model):
         Raises:
             ConfigError: naming the parameter, its value and what is accepted.
         """
-        known = {name: value for name, value in cls.completed(given).items() if name in cls.model_fields}
+        known = {
+            name: value for name, value in cls.completed(given).items() if name in cls.model_fields
+        }
         try:
             return cls.model_validate(known)
         except ValidationError as error:
@@ -67,11 +85,17 @@ class RateParameters(NodeModel):
     """The rates, which both nodes must have alike."""
 
     base_rate: Annotated[
-        int, quantity("Hz", "Rate of plant, velocity and current loops, and of the exchange.", ge=100, le=20000)
+        int,
+        quantity(
+            "Hz",
+            "Rate of plant, velocity and current loops, and of the exchange.",
+            ge=100,
+            le=20000,
+        ),
     ] = Rates().base_hz
-    position_rate: Annotated[int, quantity("Hz", "Rate of the position loop and of set-points.", ge=10, le=20000)] = (
-        Rates().position_hz
-    )
+    position_rate: Annotated[
+        int, quantity("Hz", "Rate of the position loop and of set-points.", ge=10, le=20000)
+    ] = Rates().position_hz
 
     @model_validator(mode="after")
     def _check_rates(self) -> RateParameters:
@@ -98,13 +122,19 @@ class RobotParameters(RateParameters):
             json_schema_extra={"read_only": True},
         ),
     ] = True
-    robot: Annotated[str, Field(description="Robot: name of a shipped one, or your own robot folder.")] = DEFAULT_ROBOT
+    robot: Annotated[
+        str, Field(description="Robot: name of a shipped one, or your own robot folder.")
+    ] = DEFAULT_ROBOT
     urdf: Annotated[str, Field(description=f"{DESCRIPTIONS['urdf']}{_of_robot}")] = ""
-    drives: Annotated[str, Field(description=f"{DESCRIPTIONS['drives'].capitalize()}{_of_robot}")] = ""
+    drives: Annotated[
+        str, Field(description=f"{DESCRIPTIONS['drives'].capitalize()}{_of_robot}")
+    ] = ""
 
     def files(self) -> RobotFiles:
         """Return the robot's files, and those that are named in their place."""
-        return RobotFiles.named(self.robot, **{role: name for role, name in self if role in FILES and name})
+        return RobotFiles.named(
+            self.robot, **{role: name for role, name in self if role in FILES and name}
+        )
 
 
 def flat(content: Mapping[str, Any], before: str = "") -> dict[str, Any]:
@@ -168,7 +198,9 @@ def named_parameters() -> Iterator[None]:
     except ValueError as error:
         if "PARAMETER_NOT_SET" not in str(error):
             raise
-        raise ConfigError("a parameter is given without a value; accepted: -p NAME:=VALUE") from error
+        raise ConfigError(
+            "a parameter is given without a value; accepted: -p NAME:=VALUE"
+        ) from error
 
 
 class NodeParameters:
@@ -214,7 +246,9 @@ class NodeParameters:
     @property
     def unknown(self) -> list[str]:
         """Return the names that were given and are not declared."""
-        of_topics = [name for name in self._node.get_parameters_by_prefix("") if name.startswith(PREFIX)]
+        of_topics = [
+            name for name in self._node.get_parameters_by_prefix("") if name.startswith(PREFIX)
+        ]
         unused = [name for name in of_topics if is_given_alone(self._node, name)]
         return [name for name in self._given if not self._node.has_parameter(name)] + unused
 
@@ -222,7 +256,10 @@ class NodeParameters:
 def parameter_values(node: Node) -> dict[str, Any]:
     """Return the values of a node's declared parameters by name."""
     values = {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
-    return {name: value.tolist() if isinstance(value, array) else value for name, value in values.items()}
+    return {
+        name: value.tolist() if isinstance(value, array) else value
+        for name, value in values.items()
+    }
 
 
 def refuse_unknown_parameters(nodes: Sequence[tuple[Node, NodeParameters]]) -> None:
@@ -233,7 +270,9 @@ def refuse_unknown_parameters(nodes: Sequence[tuple[Node, NodeParameters]]) -> N
     for node, parameters in nodes:
         for name in parameters.unknown:
             owners = [
-                other.get_name() for other, _ in nodes if other.has_parameter(name) and not is_given_alone(other, name)
+                other.get_name()
+                for other, _ in nodes
+                if other.has_parameter(name) and not is_given_alone(other, name)
             ]
             alone = f"-p {owners[0]}:{name}:=... for that node alone" if owners else None
             raise ConfigError(unknown_parameter(node, name, alone))
@@ -245,7 +284,11 @@ def unknown_parameter(node: Node, name: str, accepted: str | None = None) -> str
     if accepted is None and name.startswith(PREFIX):
         accepted = overridable_topics(node)
     elif accepted is None:
-        known = sorted(one for one in node.get_parameters_by_prefix("") if one not in OF_ROS and PREFIX not in one)
+        known = sorted(
+            one
+            for one in node.get_parameters_by_prefix("")
+            if one not in OF_ROS and PREFIX not in one
+        )
         accepted = ", ".join(known)
     asked = question(nearest(name, known))
     return f"parameter {plain(name)} is unknown to {node.get_name()}{asked}; accepted: {accepted}"
@@ -275,7 +318,10 @@ class ParameterChanges:
         node.add_post_set_parameters_callback(self._apply)
 
     def allow(
-        self, names: Sequence[str], check: Callable[[Mapping[str, Any]], Any], apply: Callable[[Any, Effective], None]
+        self,
+        names: Sequence[str],
+        check: Callable[[Mapping[str, Any]], Any],
+        apply: Callable[[Any, Effective], None],
     ) -> None:
         """Let declared parameters be changed from now on, until `forbid_all`; they are checked and applied together.
 
@@ -299,20 +345,28 @@ class ParameterChanges:
         """Publish the values that may be changed, and the constants: so a bag has them from its begin on."""
         names = [*(name for group in self._groups for name in group[0]), *self._constants]
         values = [self._node.get_parameter(name).to_parameter_msg() for name in names]
-        self._publisher.publish(ParameterEvent(node=self._node.get_fully_qualified_name(), new_parameters=values))
+        self._publisher.publish(
+            ParameterEvent(node=self._node.get_fully_qualified_name(), new_parameters=values)
+        )
 
     def _complete(self, given: Sequence[Parameter]) -> list[Parameter]:
         """Return a request with whole numbers made real ones where that is needed."""
         known = self._node.has_parameter
         return [
-            _with_real_numbers(each, self._node.get_parameter(each.name).value) if known(each.name) else each
+            _with_real_numbers(each, self._node.get_parameter(each.name).value)
+            if known(each.name)
+            else each
             for each in given
         ]
 
     def _answer(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         try:
             for name in (parameter.name for parameter in parameters):
-                free = name in OF_ROS or name.startswith(PREFIX) or any(name in group[0] for group in self._groups)
+                free = (
+                    name in OF_ROS
+                    or name.startswith(PREFIX)
+                    or any(name in group[0] for group in self._groups)
+                )
                 # A parameter that is not there yet is being declared.
                 if not (free or self._unconfigured()) and self._node.has_parameter(name):
                     raise ConfigError(
@@ -332,12 +386,17 @@ class ParameterChanges:
         """Return the groups that a request concerns, with all their values as they would be."""
         given = {parameter.name: parameter.value for parameter in parameters}
         changed = [group for group in self._groups if not given.keys().isdisjoint(group[0])]
-        return [(group, {n: given.get(n, self._node.get_parameter(n).value) for n in group[0]}) for group in changed]
+        return [
+            (group, {n: given.get(n, self._node.get_parameter(n).value) for n in group[0]})
+            for group in changed
+        ]
 
     def _apply(self, parameters: Sequence[Parameter]) -> None:
         for (names, check, apply), values in self._changed(parameters):
             event = ParameterEvent(node=self._node.get_fully_qualified_name())
-            event.changed_parameters = [each.to_parameter_msg() for each in parameters if each.name in names]
+            event.changed_parameters = [
+                each.to_parameter_msg() for each in parameters if each.name in names
+            ]
             apply(check(values), partial(self._publish_change, event))
 
     def _publish_change(self, event: ParameterEvent, stamp_ns: int) -> None:
@@ -349,6 +408,11 @@ def _with_real_numbers(given: Parameter, usual: object) -> Parameter:
     """Return the parameter with integers converted to real numbers if these are required: 1 is as good as 1.0."""
     if isinstance(usual, float) and given.type_ is Parameter.Type.INTEGER:
         return Parameter(given.name, Parameter.Type.DOUBLE, float(given.value))
-    if not isinstance(usual, bool | int | float | str | bytes) and given.type_ is Parameter.Type.INTEGER_ARRAY:
-        return Parameter(given.name, Parameter.Type.DOUBLE_ARRAY, [float(number) for number in given.value])
+    if (
+        not isinstance(usual, bool | int | float | str | bytes)
+        and given.type_ is Parameter.Type.INTEGER_ARRAY
+    ):
+        return Parameter(
+            given.name, Parameter.Type.DOUBLE_ARRAY, [float(number) for number in given.value]
+        )
     return given

@@ -48,5 +48,7 @@ def _set_parameters(set_parameters: Callable[[Any, Any], Any], request: Any, res
 def _describe_type(describe: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
     if _TYPE_HASH.fullmatch(request.type_hash):
         return describe(request, response)
-    response.failure_reason = f"type_hash is {quoted(request.type_hash)}; accepted: RIHS01_ and 64 digits"
+    response.failure_reason = (
+        f"type_hash is {quoted(request.type_hash)}; accepted: RIHS01_ and 64 digits"
+    )
     return response

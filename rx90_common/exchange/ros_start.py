@@ -37,7 +37,9 @@ def prepare() -> None:
     """
     domain = os.environ.get("ROS_DOMAIN_ID", "")
     if domain and not (domain.isascii() and domain.isdecimal() and int(domain) <= _LAST_DOMAIN):
-        raise ConfigError(f"ROS_DOMAIN_ID is {quoted(domain)}; accepted: a whole number from 0 to {_LAST_DOMAIN}")
+        raise ConfigError(
+            f"ROS_DOMAIN_ID is {quoted(domain)}; accepted: a whole number from 0 to {_LAST_DOMAIN}"
+        )
     middleware = os.environ.get("RMW_IMPLEMENTATION") or _FAST_DDS
     if middleware != _FAST_DDS:
         try:
@@ -48,8 +50,12 @@ def prepare() -> None:
                 "unset it"
             ) from None
     elif _PROFILES not in os.environ:
-        if os.environ.get(_RANGE, "").upper() == "LOCALHOST" and not os.environ.get("ROS_STATIC_PEERS"):
-            os.environ[_RANGE] = "SYSTEM_DEFAULT"  # or rmw_fastrtps would add its own transports to the profile's
+        if os.environ.get(_RANGE, "").upper() == "LOCALHOST" and not os.environ.get(
+            "ROS_STATIC_PEERS"
+        ):
+            os.environ[_RANGE] = (
+                "SYSTEM_DEFAULT"  # or rmw_fastrtps would add its own transports to the profile's
+            )
             os.environ[_PROFILES] = str(config_path("dds/localhost.xml"))
         else:
             os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
@@ -70,7 +76,9 @@ def start_ros(args: Sequence[str], context: Context | None = None) -> None:
     except RuntimeError as error:
         if not args:
             raise ConfigError(f"ROS does not start: {reason(error)}") from error
-        raise ConfigError(f"ROS arguments {plain(' '.join(args))}: refused ({reason(error)})") from error
+        raise ConfigError(
+            f"ROS arguments {plain(' '.join(args))}: refused ({reason(error)})"
+        ) from error
     set_logger_level("rcl", LoggingSeverity.UNSET)
 
 

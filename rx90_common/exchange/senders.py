@@ -78,6 +78,8 @@ def senders_on(node: Node, topic: str) -> dict[bytes, str]:
     """Return the processes that the graph knows to publish a topic, each with the name of a node that does."""
     publishers: list[Any] = node.get_publishers_info_by_topic(topic)
     return {
-        bytes(publisher.endpoint_gid)[:_PARTICIPANT]: f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"
+        bytes(publisher.endpoint_gid)[
+            :_PARTICIPANT
+        ]: f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"
         for publisher in publishers
     }

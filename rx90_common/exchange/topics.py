@@ -93,12 +93,18 @@ class TimeMode:
         try:
             about, named, robot = text.partition(" robot=")
             mode, base, position = about.split()
-            if mode in TIME_MODES and base.startswith("base_rate=") and position.startswith("position_rate="):
+            if (
+                mode in TIME_MODES
+                and base.startswith("base_rate=")
+                and position.startswith("position_rate=")
+            ):
                 rates = Rates(int(base.partition("=")[2]), int(position.partition("=")[2]))
                 return cls(mode, rates, robot if named else None)
         except (ValueError, ConfigError):
             pass
-        accepted = f"{', '.join(TIME_MODES)} with rates, as in lock_step base_rate=4000 position_rate=1000"
+        accepted = (
+            f"{', '.join(TIME_MODES)} with rates, as in lock_step base_rate=4000 position_rate=1000"
+        )
         raise MessageError(f"{TIME_MODE} says {quoted(text)}; accepted: {accepted}")
 
     def check(self, rates: Rates, robot: str) -> None:

@@ -46,7 +46,9 @@ def add_to_joints(gear: Any, joint: Any, torque: Any) -> Any:  # noqa: ARG001 - 
 
 
 @inlined
-def transmit(gear: Any, rotor: Array, torque: Array, acceleration: Array, transmitted: Array) -> None:
+def transmit(
+    gear: Any, rotor: Array, torque: Array, acceleration: Array, transmitted: Array
+) -> None:
     """Write the torque that passes through the elements to the links, Nm, shape (e,).
 
     Args:
@@ -133,4 +135,11 @@ def fill_arm_parts(
     """
     # A motor that turns with several joints warms the element that turns with it, and no joint's own.
     sums = [float(gear[i]) for i in coupling.sums]
-    fill_parts(record, elements, [*gear.tolist(), *sums], period, seed, coupling.of_elements(motor_heat.tolist(), 0.0))
+    fill_parts(
+        record,
+        elements,
+        [*gear.tolist(), *sums],
+        period,
+        seed,
+        coupling.of_elements(motor_heat.tolist(), 0.0),
+    )

@@ -76,7 +76,11 @@ def bristle_step(element: Any, z: Number, velocity: Number, step: float) -> tupl
     phi, psi = decay(rate * step)
     z_dot = velocity - rate * z  # at the start of the step; phi times it is the mean
     mean = z + step * z_dot * psi
-    torque = element.c0 * mean + damping(element, velocity) * z_dot * phi + viscous_torque(element, velocity)
+    torque = (
+        element.c0 * mean
+        + damping(element, velocity) * z_dot * phi
+        + viscous_torque(element, velocity)
+    )
     return z + step * z_dot * phi, torque
 
 
@@ -87,6 +91,8 @@ def decay(x: Number) -> tuple[Number, Number]:
     phi = (1.0 - exponential(-x)) * inverse
     psi = (1.0 - phi) * inverse
     # 1/2 - x/6 + x^2/24 - ...
-    series = fma(x, fma(x, fma(x, fma(x, fma(x, -1 / 5040, 1 / 720), -1 / 120), 1 / 24), -1 / 6), 1 / 2)
+    series = fma(
+        x, fma(x, fma(x, fma(x, fma(x, -1 / 5040, 1 / 720), -1 / 120), 1 / 24), -1 / 6), 1 / 2
+    )
     small = x < _SMALL
     return select(small, fma(-x, series, 1.0), phi), select(small, series, psi)

@@ -12,7 +12,11 @@ from rx90_common.base.arrays import Array
 from rx90_common.friction.bristle import bristle_step, friction_torque
 from rx90_common.friction.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 from rx90_common.friction.element import FrictionElement
-from rx90_common.friction.maxwell_slip import maxwell_slip_step, maxwell_slip_torque, weighted_squares
+from rx90_common.friction.maxwell_slip import (
+    maxwell_slip_step,
+    maxwell_slip_torque,
+    weighted_squares,
+)
 from rx90_common.friction.parts.bristles import bristles_dtype, bristles_state_dtype, fill_bristles
 from rx90_common.friction.signs import SIGNS
 from rx90_common.kernels.compiled import inlined, kernel
@@ -122,7 +126,11 @@ def lane_of(element: Elements, index: int) -> Elements:
 
 @inlined
 def with_present(
-    element: Elements, tau_c: tuple[Lanes, Lanes], tau_s: tuple[Lanes, Lanes], inverse_omega_s: Lanes, c2: Lanes
+    element: Elements,
+    tau_c: tuple[Lanes, Lanes],
+    tau_s: tuple[Lanes, Lanes],
+    inverse_omega_s: Lanes,
+    c2: Lanes,
 ) -> Elements:
     """Return elements with others in place of those that the parts change from step to step."""
     return Elements(
@@ -161,7 +169,9 @@ def bristles_step(
         elastic = load(kinds.elastic, width) > 0.0
         # An element of another kind has no motion here: nothing is computed for its way to sliding.
         moving = select(elastic, velocity, 0.0)
-        elasto_plastic, its_torque = elasto_plastic_step(element, load(kinds.break_away, width), z, moving, step)
+        elasto_plastic, its_torque = elasto_plastic_step(
+            element, load(kinds.break_away, width), z, moving, step
+        )
         new = select(elastic, elasto_plastic, new)
         torque = select(elastic, its_torque, torque)
     if kinds.blocks_used:
@@ -178,7 +188,9 @@ def bristles_step(
 
 
 @inlined
-def bristles_torque(element: Any, kinds: Any, state: Any, z: Lanes, velocity: Lanes, width: int) -> Lanes:
+def bristles_torque(
+    element: Any, kinds: Any, state: Any, z: Lanes, velocity: Lanes, width: int
+) -> Lanes:
     """Return the friction torques of all elements at one instant, Nm; arguments as those of `bristles_step`."""
     torque = friction_torque(element, z, velocity)
     if kinds.elastic_used:
@@ -203,12 +215,16 @@ def bristles_energy(c0: Lanes, kinds: Any, state: Any, z: Lanes, width: int) -> 
         store(state.torque, energy)
         for e in range(width):
             if kinds.blocked[e]:
-                state.torque[e] = 0.5 * lane(c0, e) * weighted_squares(kinds.blocks, e, state.blocks[e])
+                state.torque[e] = (
+                    0.5 * lane(c0, e) * weighted_squares(kinds.blocks, e, state.blocks[e])
+                )
         energy = load(state.torque, width)
     return energy
 
 
-BRISTLE_STATE_DTYPE = np.dtype([("z", np.float64, (1,)), ("bristles", bristles_state_dtype(1))], align=True)
+BRISTLE_STATE_DTYPE = np.dtype(
+    [("z", np.float64, (1,)), ("bristles", bristles_state_dtype(1))], align=True
+)
 """Deflection, rad, of one element, and the further state of its bristles."""
 
 
@@ -238,7 +254,9 @@ def _other_torque(element: FrictionElement, velocity: Array, steps: Array) -> Ar
     fill_bristles(constants[0], [element.bristles])
     torque = np.empty_like(velocity)
     deflection = np.empty_like(velocity)
-    follow_bristles(element_arrays((element,)), constants, state, velocity, steps, torque, deflection)
+    follow_bristles(
+        element_arrays((element,)), constants, state, velocity, steps, torque, deflection
+    )
     return torque
 
 
@@ -254,7 +272,13 @@ def _bristles(arrays: NDArray[np.void], velocity: Array, steps: Array, torque: A
 
 @kernel
 def follow_bristles(
-    arrays: Any, constants: Any, states: Any, velocity: Array, steps: Array, torque: Array, deflection: Array
+    arrays: Any,
+    constants: Any,
+    states: Any,
+    velocity: Array,
+    steps: Array,
+    torque: Array,
+    deflection: Array,
 ) -> None:
     """Write torque and deflection of one element with any bristles in each step of prescribed velocities.
 

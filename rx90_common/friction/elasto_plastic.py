@@ -117,12 +117,16 @@ def elasto_plastic_step(
     moved = loaded + gain
     mean_z = select(travel > 0.0, select(forward, mean_y, -mean_y), z)
     z_dot = select(forward, moved, -moved) / step
-    torque = element.c0 * mean_z + damping(element, velocity) * z_dot + viscous_torque(element, velocity)
+    torque = (
+        element.c0 * mean_z + damping(element, velocity) * z_dot + viscous_torque(element, velocity)
+    )
     return select(forward, y + moved, -(y + moved)), torque
 
 
 @inlined
-def _steady_and_break_away(element: Any, break_away: Number, velocity: Number) -> tuple[Number, Number]:
+def _steady_and_break_away(
+    element: Any, break_away: Number, velocity: Number
+) -> tuple[Number, Number]:
     """Return the deflections of steady sliding, g(v), and of break-away, rad, in the sense of the velocity."""
     coulomb = select(velocity >= 0.0, element.tau_c[0], element.tau_c[1])
     return sliding_torque(element, velocity) / element.c0, break_away * coulomb / element.c0

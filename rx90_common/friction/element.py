@@ -69,7 +69,9 @@ class FrictionElement(FileModel):
     ]
     tau_s: Annotated[
         StaticTorque,
-        quantity("Nm", "Static friction torque, at least tau_c.", accepted=f"a number >= 0{_SIGNED}"),
+        quantity(
+            "Nm", "Static friction torque, at least tau_c.", accepted=f"a number >= 0{_SIGNED}"
+        ),
     ]
     omega_s: Annotated[float, quantity("rad/s", "Stribeck velocity.", ge=MIN_SPEED)]
     delta: Annotated[float, quantity("1", "Stribeck exponent.", gt=0.0)]
@@ -81,7 +83,9 @@ class FrictionElement(FileModel):
         quantity("rad/s", "Velocity in the fading c1 exp(-(v/omega_d)^2).", ge=MIN_SPEED),
         Field(allow_inf_nan=True),
     ] = math.inf
-    alpha: Annotated[float, quantity("1", "Viscous exponent.", ge=ALPHA_BOUNDS[0], le=ALPHA_BOUNDS[1])] = 1.0
+    alpha: Annotated[
+        float, quantity("1", "Viscous exponent.", ge=ALPHA_BOUNDS[0], le=ALPHA_BOUNDS[1])
+    ] = 1.0
     load: Annotated[LoadPart | None, LOAD] = None
     temperature: Annotated[TemperaturePart | None, TEMPERATURE] = None
     ripple: Annotated[RipplePart | None, RIPPLE] = None
@@ -105,7 +109,9 @@ class FrictionElement(FileModel):
         return {**missing, **content}
 
     @classmethod
-    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
+    def __get_pydantic_json_schema__(
+        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchema:
         """Return the schema, with what is needed only where there is no curve."""
         schema = handler.resolve_ref_schema(handler(core_schema))
         replaced = ["tau_c", "tau_s", "omega_s", "delta"]
@@ -170,7 +176,9 @@ class FrictionElement(FileModel):
         forward = v >= 0
         coulomb = np.where(forward, self.tau_c.positive, self.tau_c.negative)
         static = np.where(forward, self.tau_s.positive, self.tau_s.negative)
-        torque = np.asarray(coulomb + (static - coulomb) * stribeck_decay(v, self.omega_s, self.delta))
+        torque = np.asarray(
+            coulomb + (static - coulomb) * stribeck_decay(v, self.omega_s, self.delta)
+        )
         for part in self.parts.values():
             torque = part.sliding_torque(v, torque)
         return torque
@@ -188,7 +196,9 @@ class FrictionElement(FileModel):
         """Return the slope of the viscous part: at rest as warm and as cold as it gets, and cold at speed, Nm s/rad."""
         warm, cold = (1.0, 1.0) if self.temperature is None else self.temperature.viscous_range
         rest = self.c2 if self.alpha == 1.0 else self.c2 * LINEAR_SPEED ** (self.alpha - 1.0)
-        fast = self.c2 * self.alpha * max_velocity ** (self.alpha - 1.0) if self.alpha > 1.0 else rest
+        fast = (
+            self.c2 * self.alpha * max_velocity ** (self.alpha - 1.0) if self.alpha > 1.0 else rest
+        )
         growth = sum(part.steepest for part in self.parts.values())
         return warm * rest, cold * rest + growth, cold * fast + growth
 
@@ -233,8 +243,16 @@ class FrictionElement(FileModel):
         for part in self.parts.values():
             weakest = part.weakest(weakest)
             least = least * part.least_factor
-        factor = LUGRE_PASSIVITY if self.bristles is None else self.bristles.passivity_factor(self.c0, speed)
-        return factor * least * np.minimum(weakest.sliding_torque(speed), weakest.sliding_torque(-speed))
+        factor = (
+            LUGRE_PASSIVITY
+            if self.bristles is None
+            else self.bristles.passivity_factor(self.c0, speed)
+        )
+        return (
+            factor
+            * least
+            * np.minimum(weakest.sliding_torque(speed), weakest.sliding_torque(-speed))
+        )
 
 
 def _speeds_up_to(largest: float) -> NDArray[np.float64]:
@@ -284,7 +302,9 @@ def stribeck_decay(velocity: Array, omega_s: float, delta: float) -> Array:
         return np.asarray(np.exp(-((np.abs(velocity) / omega_s) ** delta)))
 
 
-def stribeck_decay_slopes(velocity: Array, omega_s: float, delta: float) -> tuple[Array, Array, Array]:
+def stribeck_decay_slopes(
+    velocity: Array, omega_s: float, delta: float
+) -> tuple[Array, Array, Array]:
     """Return the same, and its derivatives by ln omega_s and by ln delta, each with the shape of the velocity."""
     speed = np.abs(velocity)
     power = np.minimum((speed / omega_s) ** delta, _MAX_POWER)

@@ -75,7 +75,9 @@ class FrictionFile(FileModel):
         """
         return read_model(cls, Path(path))
 
-    def select(self, names: Sequence[str], where: Path | str = "friction") -> tuple[FrictionElement, ...]:
+    def select(
+        self, names: Sequence[str], where: Path | str = "friction"
+    ) -> tuple[FrictionElement, ...]:
         """Return the elements of these names.
 
         Args:
@@ -122,7 +124,9 @@ class FrictionSet:
 
     def __post_init__(self) -> None:
         if len(self.names) != len(self.elements):
-            counts = f"{counted(len(self.elements), 'element')} and {counted(len(self.names), 'name')}"
+            counts = (
+                f"{counted(len(self.elements), 'element')} and {counted(len(self.names), 'name')}"
+            )
             raise ConfigError(f"a friction set of {counts}; accepted: as many of each")
 
     def __getitem__(self, name: str) -> FrictionElement:
@@ -132,13 +136,17 @@ class FrictionSet:
             ConfigError: if there is none.
         """
         if name not in self.names:
-            raise ConfigError(f"no friction element {quoted(name)}; accepted: {', '.join(self.names)}")
+            raise ConfigError(
+                f"no friction element {quoted(name)}; accepted: {', '.join(self.names)}"
+            )
         return self.elements[self.names.index(name)]
 
     def passivity_warnings(self, reach: Sequence[float]) -> list[str]:
         """Return a line for each element that is not passive up to the speed, rad/s, that it reaches, shape (e,)."""
         where = "" if self.file is None else f"{self.file}: "
-        warnings = [_passivity_warning(*each) for each in zip(self.names, self.elements, reach, strict=True)]
+        warnings = [
+            _passivity_warning(*each) for each in zip(self.names, self.elements, reach, strict=True)
+        ]
         return [f"{where}{warning}" for warning in warnings if warning]
 
 
@@ -150,7 +158,9 @@ def _passivity_warning(name: str, element: FrictionElement, speed: float) -> str
     reducing = [part_name for part_name, part in element.parts.items() if part.lowers_friction]
     least = f", with the least friction by {', '.join(reducing)}" if reducing else ""
     blocks = isinstance(element.bristles, MaxwellSlip)
-    bound = "the bound of its blocks, docs/explanation/bristles.md," if blocks else "c1 < 4 c0 g / |v|"
+    bound = (
+        "the bound of its blocks, docs/explanation/bristles.md," if blocks else "c1 < 4 c0 g / |v|"
+    )
     return (
         f"elements.{name}.c1 is {element.c1:g} Nm s/rad, not passive from {limit:.3g} rad/s on; "
         f"accepted: below {element.passive_damping(speed):.3g} ({bound} up to {speed:.3g} rad/s{least}), "
@@ -159,7 +169,10 @@ def _passivity_warning(name: str, element: FrictionElement, speed: float) -> str
 
 
 def refuse_parts(
-    elements: Mapping[str, FrictionElement], what: str, where: str = "friction.", held: Container[str] = ()
+    elements: Mapping[str, FrictionElement],
+    what: str,
+    where: str = "friction.",
+    held: Container[str] = (),
 ) -> None:
     """Refuse elements with parts that are not supported.
 
@@ -172,7 +185,9 @@ def refuse_parts(
     for name, element in elements.items():
         for part in element.parts:
             if part not in held:
-                raise ConfigError(f"{where}{name}.{part}: {what} cannot hold this part; accepted: left out")
+                raise ConfigError(
+                    f"{where}{name}.{part}: {what} cannot hold this part; accepted: left out"
+                )
 
 
 def load_friction(path: Path, names: Sequence[str]) -> FrictionSet:
@@ -183,5 +198,7 @@ def load_friction(path: Path, names: Sequence[str]) -> FrictionSet:
     for name in present:
         if name not in names:
             asked = question(nearest(name, missing))
-            raise ConfigError(f"{path}: elements.{name} is not a known key{asked}; accepted: {', '.join(names)}")
+            raise ConfigError(
+                f"{path}: elements.{name} is not a known key{asked}; accepted: {', '.join(names)}"
+            )
     return FrictionSet(tuple(names), file.select(names, path), path)

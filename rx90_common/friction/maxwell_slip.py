@@ -64,7 +64,12 @@ def blocks_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the blocks of `width` elements, the element the first index."""
     each = (width, MAX_BLOCKS)
     return np.dtype(
-        [("stiffness", np.float64, each), ("reach", np.float64, each), ("attraction", np.float64, (width,))], align=True
+        [
+            ("stiffness", np.float64, each),
+            ("reach", np.float64, each),
+            ("attraction", np.float64, (width,)),
+        ],
+        align=True,
     )
 
 
@@ -72,7 +77,9 @@ def blocks_dtype(width: int) -> np.dtype[np.void]:
 def load_blocks(arrays: Any, index: int) -> MaxwellBlocks:
     """Return the blocks of one element of such a record."""
     return MaxwellBlocks(
-        load(arrays.stiffness[index], MAX_BLOCKS), load(arrays.reach[index], MAX_BLOCKS), arrays.attraction[index]
+        load(arrays.stiffness[index], MAX_BLOCKS),
+        load(arrays.reach[index], MAX_BLOCKS),
+        arrays.attraction[index],
     )
 
 
@@ -91,7 +98,9 @@ def _total(parts: Lanes) -> float:
 
 
 @kernel
-def maxwell_slip_torque(element: Any, arrays: Any, index: int, state: NDArray[np.float64], velocity: float) -> float:
+def maxwell_slip_torque(
+    element: Any, arrays: Any, index: int, state: NDArray[np.float64], velocity: float
+) -> float:
     """Return the friction torque at one instant, Nm; arguments as those of `maxwell_slip_step`."""
     blocks = load_blocks(arrays, index)
     z = load(state[0], MAX_BLOCKS)
@@ -101,7 +110,9 @@ def maxwell_slip_torque(element: Any, arrays: Any, index: int, state: NDArray[np
     attracted = (blocks.attraction / sliding) * lacking
     speed = abs(velocity)
     bound = select(attracted < speed, attracted, speed)
-    slips = select(load(state[1], MAX_BLOCKS) * sense > 0.0, bound, select(lacking > 0.0, speed, bound))
+    slips = select(
+        load(state[1], MAX_BLOCKS) * sense > 0.0, bound, select(lacking > 0.0, speed, bound)
+    )
     z_dot = sense * slips if speed > 0.0 else 0.0 * z
     rate = _total(blocks.stiffness * z_dot)
     bristles: float = element.c0 * _total(blocks.stiffness * z) + damping(element, velocity) * rate
@@ -153,5 +164,9 @@ def maxwell_slip_step(
     store(state[1], select(left > 0.0, sense, select(already, slipping, 0.0)))
     change = sense * _total(blocks.stiffness * moved)
     mean = sense * _total(blocks.stiffness * over) / step
-    torque = element.c0 * mean + damping(element, velocity) * change / step + viscous_torque(element, velocity)
+    torque = (
+        element.c0 * mean
+        + damping(element, velocity) * change / step
+        + viscous_torque(element, velocity)
+    )
     return before + change, torque

@@ -5,7 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Generic, TypeVar
 
-from pydantic import GetJsonSchemaHandler, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import (
+    GetJsonSchemaHandler,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 from pydantic_core import CoreSchema
 
 from rx90_common.base.models import FileModel, JsonSchema
@@ -25,7 +30,9 @@ class BySign(FileModel, Generic[Value]):
     @model_validator(mode="before")
     @classmethod
     def _for_both(cls, value: Any) -> Any:
-        if isinstance(value, cls) or (isinstance(value, Mapping) and not value.keys().isdisjoint(SIGNS)):
+        if isinstance(value, cls) or (
+            isinstance(value, Mapping) and not value.keys().isdisjoint(SIGNS)
+        ):
             return value
         if isinstance(value, BySign):
             return {"positive": value.positive, "negative": value.negative}
@@ -34,10 +41,14 @@ class BySign(FileModel, Generic[Value]):
     @model_serializer(mode="wrap")
     def _once_if_equal(self, dump: SerializerFunctionWrapHandler) -> Any:
         content = dump(self)
-        return content["positive"] if content == dict.fromkeys(SIGNS, content["positive"]) else content
+        return (
+            content["positive"] if content == dict.fromkeys(SIGNS, content["positive"]) else content
+        )
 
     @classmethod
-    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
+    def __get_pydantic_json_schema__(
+        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchema:
         """Return the schema of one value, or of a mapping with both."""
         mapping = handler(core_schema)
         return {"anyOf": [handler.resolve_ref_schema(mapping)["properties"]["positive"], mapping]}

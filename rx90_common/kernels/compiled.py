@@ -58,7 +58,9 @@ class CompileLock:
 
     def take(self) -> None:
         """Wait until no other process compiles this kernel; without delay where no lock can be made."""
-        if self._descriptor is not None:  # the kernel is compiled again, for arguments that are literals
+        if (
+            self._descriptor is not None
+        ):  # the kernel is compiled again, for arguments that are literals
             return
         try:
             descriptor = os.open(self._file, os.O_CREAT | os.O_RDWR, 0o666)
@@ -231,7 +233,9 @@ class _Watch(Listener):
 
     def on_end(self, event: Event) -> None:
         cache = event.data["dispatcher"]._cache
-        if sys.exc_info()[0] is not None and isinstance(cache, KernelCache):  # the event reports no failure
+        if sys.exc_info()[0] is not None and isinstance(
+            cache, KernelCache
+        ):  # the event reports no failure
             cache.give_up()
 
 
@@ -250,7 +254,9 @@ class _Inlined(CPUDispatcher):
     """A function that compiled code alone can call: a wrapper for calls from Python takes long to compile."""
 
     def __call__(self, *_: Any, **__: Any) -> Any:
-        raise TypeError(f"{self.py_func.__qualname__} is compiled into its callers; accepted: a call from a kernel")
+        raise TypeError(
+            f"{self.py_func.__qualname__} is compiled into its callers; accepted: a call from a kernel"
+        )
 
 
 def inlined(function: _Function) -> _Function:
@@ -268,7 +274,9 @@ def by_type(choose: _Function) -> _Function:
     """
 
     def never(*_: Any) -> Any:
-        raise TypeError(f"{choose.__qualname__} is compiled into its callers; accepted: a call from a kernel")
+        raise TypeError(
+            f"{choose.__qualname__} is compiled into its callers; accepted: a call from a kernel"
+        )
 
     options: Any = {"error_model": "numpy", "forceinline": True}
     overload(never, jit_options=options, strict=False)(choose)
@@ -292,7 +300,10 @@ def c_function(signature: Any) -> Callable[[Callable[..., Any]], Callable[[], Ca
         compiled: Any = CFunc(function, types, locals={}, options={"error_model": "numpy"})
         compiled._cache = KernelCache(function)  # as its `enable_caching` does
         compiled.compile()
-        arguments = [ctypes.c_void_p if kind == numba.types.voidptr else ctypes.c_int64 for kind in signature.args]
+        arguments = [
+            ctypes.c_void_p if kind == numba.types.voidptr else ctypes.c_int64
+            for kind in signature.args
+        ]
         address: int = compiled.address
         return ctypes.PYFUNCTYPE(ctypes.c_int64, *arguments)(address)
 

@@ -23,7 +23,17 @@ from numba.core import types
 from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.kernels.compiled import inlined, kernel
-from rx90_common.kernels.lanes import Lanes, LanesType, Mask, Number, Operation, absolute, any_lane, fma, select
+from rx90_common.kernels.lanes import (
+    Lanes,
+    LanesType,
+    Mask,
+    Number,
+    Operation,
+    absolute,
+    any_lane,
+    fma,
+    select,
+)
 
 # A double WHOLE + k holds the integer k in its lowest bits. A shift brings them to the place of another number's
 # exponent or sign, so that a conversion to integers, which AVX2 lacks for lanes of doubles, is not needed.
@@ -35,11 +45,15 @@ _SQRT_HALF_BITS = 0x3FE6A09E667F3BCD
 def _bits(builder: Any, value: Any) -> Any:
     kind = value.type
     word = ir.IntType(64)
-    return builder.bitcast(value, ir.VectorType(word, kind.count) if isinstance(kind, ir.VectorType) else word)
+    return builder.bitcast(
+        value, ir.VectorType(word, kind.count) if isinstance(kind, ir.VectorType) else word
+    )
 
 
 def _constant(like: Any, value: int) -> Any:
-    return ir.Constant(like.type, [value] * like.type.count if isinstance(like.type, ir.VectorType) else value)
+    return ir.Constant(
+        like.type, [value] * like.type.count if isinstance(like.type, ir.VectorType) else value
+    )
 
 
 @Operation[Callable[[Number, Number], Number]].of
@@ -60,7 +74,9 @@ def nearest_exponent(_: Any, x: Any) -> Any:
 
     def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         value = _bits(builder, *arguments)
-        above = builder.ashr(builder.sub(value, _constant(value, _SQRT_HALF_BITS)), _constant(value, 52))
+        above = builder.ashr(
+            builder.sub(value, _constant(value, _SQRT_HALF_BITS)), _constant(value, 52)
+        )
         return builder.bitcast(builder.add(above, _constant(value, _WHOLE_BITS)), arguments[0].type)
 
     return x(x), emit
@@ -73,7 +89,9 @@ def is_odd(_: Any, whole: Any) -> Any:
 
     def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         bit = ir.IntType(1)
-        return builder.trunc(_bits(builder, *arguments), ir.VectorType(bit, whole.padded) if lanes else bit)
+        return builder.trunc(
+            _bits(builder, *arguments), ir.VectorType(bit, whole.padded) if lanes else bit
+        )
 
     return (LanesType(whole.width, is_mask=True) if lanes else types.boolean)(whole), emit
 

@@ -145,7 +145,10 @@ def _binary(symbol: Any, emit: Callable[[Any, Any, Any], Any], *, compares: bool
 
     def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         to = _common(*signature.args)
-        a, b = (_spread(context, builder, x, kind, to) for x, kind in zip(arguments, signature.args, strict=True))
+        a, b = (
+            _spread(context, builder, x, kind, to)
+            for x, kind in zip(arguments, signature.args, strict=True)
+        )
         return emit(builder, a, b)
 
     for kinds in ((LanesType, LanesType), (LanesType, types.Number), (types.Number, LanesType)):
@@ -234,7 +237,9 @@ def load(_: Any, array: Any, width: Any) -> Any:
         for offset, size in _pieces(kind.width):
             place = _place(context, builder, arguments[0], signature.args[0], offset, size)
             piece = builder.load(place, align=8)
-            if size == 1:  # no vector of one: LLVM 20's optimiser fails an assertion of its own with them
+            if (
+                size == 1
+            ):  # no vector of one: LLVM 20's optimiser fails an assertion of its own with them
                 total = builder.insert_element(total, piece, _INDEX(offset))
                 continue
             spread = _shuffle(builder, piece, piece, [min(i, size - 1) for i in range(kind.padded)])
@@ -257,7 +262,9 @@ def store(_: Any, array: Any, value: Any) -> Any:
             if size == 1:
                 piece = builder.extract_element(arguments[1], _INDEX(offset))
             else:
-                piece = _shuffle(builder, arguments[1], arguments[1], list(range(offset, offset + size)))
+                piece = _shuffle(
+                    builder, arguments[1], arguments[1], list(range(offset, offset + size))
+                )
             builder.store(piece, place, align=8)
         return context.get_dummy_value()
 
@@ -360,7 +367,9 @@ def any_lane(_: Any, mask: Any) -> Any:
         if not isinstance(mask, LanesType):
             return arguments[0]
         bits = builder.bitcast(arguments[0], ir.IntType(mask.padded))
-        return builder.icmp_unsigned("!=", builder.and_(bits, bits.type(2**mask.width - 1)), bits.type(0))
+        return builder.icmp_unsigned(
+            "!=", builder.and_(bits, bits.type(2**mask.width - 1)), bits.type(0)
+        )
 
     return types.boolean(mask), emit
 
@@ -378,6 +387,8 @@ def fma(_: Any, a: Any, b: Any, c: Any) -> Any:
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         operands = zip(arguments, signature.args, strict=True)
-        return _call(builder, "fma", *(_spread(context, builder, x, kind, result) for x, kind in operands))
+        return _call(
+            builder, "fma", *(_spread(context, builder, x, kind, result) for x, kind in operands)
+        )
 
     return None if result is None else (result(a, b, c), emit)

@@ -8,7 +8,9 @@ from pathlib import Path
 
 from rx90_common.base.share import PACKAGES, ROOT, project_files
 
-_CONSTANTS = re.compile(r"^from (\S+) import \(?\s*(?:\w+(?: as \w+)?,\s+)*[A-Z][A-Z0-9_]*\b", re.MULTILINE)
+_CONSTANTS = re.compile(
+    r"^from (\S+) import \(?\s*(?:\w+(?: as \w+)?,\s+)*[A-Z][A-Z0-9_]*\b", re.MULTILINE
+)
 """An import of a constant, whose name is in capitals."""
 
 
@@ -19,7 +21,9 @@ def module_file(name: str) -> Path | None:
     if parts[0] not in PACKAGES:
         return None
     path = ROOT.joinpath(*parts)
-    return next((file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None)
+    return next(
+        (file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None
+    )
 
 
 def files_with_kernels() -> list[Path]:

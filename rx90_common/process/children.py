@@ -37,7 +37,13 @@ def executable(name: str, *arguments: object) -> list[str]:
 
     By the path of the entry: with -m, modules of the working folder would come before all others, also before Python's.
     """
-    return [sys.executable, "-u", str(ROOT / PACKAGE / "__main__.py"), *name.split(), *map(str, arguments)]
+    return [
+        sys.executable,
+        "-u",
+        str(ROOT / PACKAGE / "__main__.py"),
+        *name.split(),
+        *map(str, arguments),
+    ]
 
 
 class ChildProcess:
@@ -134,7 +140,9 @@ class ChildProcess:
         try:
             code = self._process.wait(timeout)
         except subprocess.TimeoutExpired as error:
-            raise ProcessError(f"the {self.name} did not end within {timeout:g} s: {self._last_line()}") from error
+            raise ProcessError(
+                f"the {self.name} did not end within {timeout:g} s: {self._last_line()}"
+            ) from error
         self._reader.join(_LAST_LINES_S)
         assert self._process.stdin is not None
         self._process.stdin.close()
@@ -202,7 +210,11 @@ class ProcessGroup:
             for member in running:
                 with suppress(ProcessError):
                     member.wait(max(0.0, deadline - time.monotonic()))
-            survivors += [member for member in running if member.returncode is None and member not in survivors]
+            survivors += [
+                member
+                for member in running
+                if member.returncode is None and member not in survivors
+            ]
         return survivors
 
 

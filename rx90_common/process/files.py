@@ -38,7 +38,9 @@ def hidden_folder(target: Path) -> Iterator[Path]:
             shutil.rmtree(leftover, ignore_errors=True)
             os.close(lock)
     while True:
-        folder = Path(tempfile.mkdtemp(prefix=f".{target.name[:_LONGEST_PREFIX]}{_MARK}", dir=target.parent))
+        folder = Path(
+            tempfile.mkdtemp(prefix=f".{target.name[:_LONGEST_PREFIX]}{_MARK}", dir=target.parent)
+        )
         with suppress(FileNotFoundError):  # swept between its making and its lock
             lock = _lock(folder, wait=True)
             break
@@ -81,7 +83,9 @@ def atomic_files(*files: Path) -> Iterator[list[Path]]:
                 place = target = current.resolve()
                 if current.is_file() or current.is_dir() or not current.exists():
                     if target.exists():
-                        with target.open("ab"):  # a file that may not be written may not be replaced either
+                        with target.open(
+                            "ab"
+                        ):  # a file that may not be written may not be replaced either
                             pass
                     place = folders.enter_context(hidden_folder(target)) / target.name
                 places.append((place, target))
@@ -91,7 +95,9 @@ def atomic_files(*files: Path) -> Iterator[list[Path]]:
                 for file, (place, target) in zip(files, places, strict=True):
                     current = file
                     if place != target:
-                        with suppress(OSError):  # there is none before, or it belongs to somebody else
+                        with suppress(
+                            OSError
+                        ):  # there is none before, or it belongs to somebody else
                             shutil.copymode(target, place)
                         place.replace(target)
     except OSError as error:
@@ -149,7 +155,9 @@ def check_output() -> None:
         encoding=before.encoding,
         # A locale without the character must not end the command.
         errors=before.errors if before.encoding.lower() == "utf-8" else "backslashreplace",
-        line_buffering=bool(before.line_buffering or getattr(before, "write_through", False)),  # python -u
+        line_buffering=bool(
+            before.line_buffering or getattr(before, "write_through", False)
+        ),  # python -u
     )
 
 

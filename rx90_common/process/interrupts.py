@@ -54,7 +54,9 @@ def terminations_as_interrupts() -> Iterator[None]:
     """
     numbers: list[signal.Signals] = []
     if threading.current_thread() is threading.main_thread():
-        numbers = [number for number in _INTERRUPTS[1:] if signal.getsignal(number) == signal.SIG_DFL]
+        numbers = [
+            number for number in _INTERRUPTS[1:] if signal.getsignal(number) == signal.SIG_DFL
+        ]
     for number in numbers:
         signal.signal(number, _interrupt_where_safe)
     try:
@@ -74,7 +76,9 @@ class StopRequest:
 
     def __init__(self) -> None:
         self._is_set = False
-        self._woken: SimpleQueue[None] = SimpleQueue()  # its `put` may interrupt its own `get` and `put`
+        self._woken: SimpleQueue[None] = (
+            SimpleQueue()
+        )  # its `put` may interrupt its own `get` and `put`
 
     def set(self) -> None:
         """Ask; a second time changes nothing."""
@@ -145,7 +149,9 @@ def deferred_interrupts() -> Iterator[Callable[[], None]]:
     # Only signals that Python handles: an ignored signal stays ignored, and one that ends the process at once still
     # does.
     # A handler, not a mask or SIG_IGN, because a child would inherit those.
-    before = {number: handler for number in _INTERRUPTS if callable(handler := signal.getsignal(number))}
+    before = {
+        number: handler for number in _INTERRUPTS if callable(handler := signal.getsignal(number))
+    }
     for number in before:
         signal.signal(number, lambda number, _frame: pending.append(number))
     try:
@@ -207,7 +213,9 @@ def ends_within(
         yield start
     finally:
         if interrupted.is_set():
-            end_with(INTERRUPTED)  # a compiler in another thread may crash when the interpreter ends in order
+            end_with(
+                INTERRUPTED
+            )  # a compiler in another thread may crash when the interpreter ends in order
         else:
             signal.set_wakeup_fd(before)
             os.close(writer)  # the thread reads the end

@@ -71,7 +71,9 @@ def _outside(error: ImportError) -> str | None:
 
 def is_ros(module: str) -> bool:
     """Tell whether a package comes with ROS."""
-    return module in {"rclpy", "ament_index_python"} or module.endswith(("_msgs", "_srvs", "_interfaces"))
+    return module in {"rclpy", "ament_index_python"} or module.endswith(
+        ("_msgs", "_srvs", "_interfaces")
+    )
 
 
 def _accepted(module: str) -> str:

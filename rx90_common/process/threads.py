@@ -22,9 +22,14 @@ def place_of(call: traceback.FrameSummary) -> str:
 
 def where_threads_are() -> list[str]:
     """Return a line for each thread but the calling one: its name, and its call stack, the innermost call last."""
-    others = (thread for thread in threading.enumerate() if thread is not threading.current_thread())
+    others = (
+        thread for thread in threading.enumerate() if thread is not threading.current_thread()
+    )
     found = [(thread.name, calls) for thread in others if (calls := calls_of(thread))]
-    return [f"{name}: " + " > ".join(f"{place_of(one)} {one.name}" for one in calls) for name, calls in found]
+    return [
+        f"{name}: " + " > ".join(f"{place_of(one)} {one.name}" for one in calls)
+        for name, calls in found
+    ]
 
 
 def be_nicer(least: int) -> None:

@@ -64,7 +64,14 @@ def inert(text: str) -> PlainText:
     return PlainText(text=text)
 
 
-def chart(title: str = "", x_label: str = "", y_label: str = "", *, height: int | None = 180, **options: Any) -> figure:
+def chart(
+    title: str = "",
+    x_label: str = "",
+    y_label: str = "",
+    *,
+    height: int | None = 180,
+    **options: Any,
+) -> figure:
     """Return an empty figure.
 
     What is drawn in it with a `name` has an entry in the legend; lines and dots show their values below the pointer.
@@ -88,7 +95,12 @@ def chart(title: str = "", x_label: str = "", y_label: str = "", *, height: int 
     )
     labels = [("", "$name"), (x_label or "x", "@x{%.6g}"), (y_label or "y", "@y{%.6g}")]
     empty.add_tools(
-        HoverTool(tooltips=labels, formatters={"@x": "printf", "@y": "printf"}, renderers=[], visible=False)
+        HoverTool(
+            tooltips=labels,
+            formatters={"@x": "printf", "@y": "printf"},
+            renderers=[],
+            visible=False,
+        )
     )
     return empty
 
@@ -116,10 +128,18 @@ def join(figures: Sequence[figure]) -> None:
             if renderer.name:
                 named.setdefault(renderer.name, []).append(renderer)
         for tool in shown.hover:
-            tool.renderers = [renderer for renderer in _glyphs(shown) if isinstance(renderer.glyph, Line | Scatter)]
+            tool.renderers = [
+                renderer
+                for renderer in _glyphs(shown)
+                if isinstance(renderer.glyph, Line | Scatter)
+            ]
     for shown in figures:
         names = dict.fromkeys(renderer.name for renderer in _glyphs(shown))
-        items = [LegendItem(label={"value": name}, renderers=named.pop(name)) for name in names if name in named]
+        items = [
+            LegendItem(label={"value": name}, renderers=named.pop(name))
+            for name in names
+            if name in named
+        ]
         if items:
             shown.add_layout(Legend(items=items), "above")
 
@@ -140,7 +160,11 @@ def thin(figures: Sequence[figure]) -> int:
         y = source.data[renderer.glyph.y]
         longest = max(longest, len(x))
         if len(x) > most:
-            with np.errstate(divide="ignore", invalid="ignore"):  # values without a logarithm are no points
-                rows = few_points(np.log10(x) if logarithmic_x else x, np.log10(y) if logarithmic_y else y, most)
+            with np.errstate(
+                divide="ignore", invalid="ignore"
+            ):  # values without a logarithm are no points
+                rows = few_points(
+                    np.log10(x) if logarithmic_x else x, np.log10(y) if logarithmic_y else y, most
+                )
             source.data = {name: values[rows] for name, values in source.data.items()}
     return most if longest > most else 0

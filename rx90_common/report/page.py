@@ -27,7 +27,9 @@ _NO_SCRIPT = "<noscript>Plots need JavaScript; text and tables of this page do n
 @cache
 def _environment(package: str) -> Environment:
     loaders = [PackageLoader(package), PackageLoader("rx90_common.report")]
-    return Environment(loader=ChoiceLoader(loaders), autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    return Environment(
+        loader=ChoiceLoader(loaders), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
 
 
 @cache
@@ -38,7 +40,9 @@ def _terms() -> Markup:
     return Markup(MarkdownIt("commonmark").enable("table").render("## " + text))
 
 
-def render_page(package: str, template: str, words: Callable[[str], str] = str, **values: object) -> str:
+def render_page(
+    package: str, template: str, words: Callable[[str], str] = str, **values: object
+) -> str:
     """Return a self-contained HTML page.
 
     In a template, `draw(figures, across)` inserts one figure of Bokeh or several: below each other, or so many side by
@@ -70,7 +74,8 @@ def render_page(package: str, template: str, words: Callable[[str], str] = str, 
     page = re.sub(_PLACE.format(r"(\d+)"), lambda place: places[int(place[1])], page)
     scripts = _environment("rx90_common.report").get_template("plots.html.j2")
     page = page.replace(
-        "</body>", scripts.render(library=Markup(_RESOURCES.render_js()), script=Markup(script)) + "\n</body>"
+        "</body>",
+        scripts.render(library=Markup(_RESOURCES.render_js()), script=Markup(script)) + "\n</body>",
     )
     if most:
         note = f"Of long curves the first, least, largest and last value in each of {most // 4} parts are shown."
@@ -91,4 +96,6 @@ def _numbered(script: str, places: Sequence[str]) -> tuple[str, list[str]]:
     documents, key, items = script.rpartition("const render_items")
     documents = re.sub(rf'(?<="id":")[^"]+|(?<=docs_json = .{{2}}"){_LOT}', number, documents)
     names = re.compile(rf"(?<=\")(?:{_LOT}|p\d+)(?=\")")
-    return f"{documents}{key}{names.sub(number, items)}", [names.sub(number, place) for place in places]
+    return f"{documents}{key}{names.sub(number, items)}", [
+        names.sub(number, place) for place in places
+    ]

@@ -30,7 +30,14 @@ from rx90_common.description.robot import RobotModel
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.elementary import signed_power
 from rx90_common.kernels.lanes import Lanes, absolute, any_lane, load, select, size, store
-from rx90_controller.law.model import FRESH, add_model_torque, begin_parts, cool_model, hand_over, model_state_dtype
+from rx90_controller.law.model import (
+    FRESH,
+    add_model_torque,
+    begin_parts,
+    cool_model,
+    hand_over,
+    model_state_dtype,
+)
 from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.trajectory import TrajectoryGenerator
 
@@ -43,17 +50,29 @@ def law_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     n = arm.joints
     return np.dtype(
         [
-            ("reference", np.float64, (3, n)),  # motor-side position, velocity, acceleration set-points
+            (
+                "reference",
+                np.float64,
+                (3, n),
+            ),  # motor-side position, velocity, acceleration set-points
             ("offset", np.float64, (n,)),  # of the position set-point, motor side, rad; workspace
             ("error", np.float64, (n,)),  # position error at the last position tick
             ("velocity_error", np.float64, (n,)),
             ("integrator", np.float64, (n,)),
             ("position_torque", np.float64, (n,)),  # PI block, held between position ticks
             ("feed_forward", np.float64, (n,)),  # FF block, held between position ticks
-            ("commanded", np.float64, (n,)),  # current commanded to the amplifier, within its limit, A
+            (
+                "commanded",
+                np.float64,
+                (n,),
+            ),  # current commanded to the amplifier, within its limit, A
             ("current", np.float64, (n,)),
             ("command", np.float64, (n,)),  # torque constant times current
-            ("limited", np.float64, (n,)),  # sign of the amplifier's saturation in the last tick, 0 if none
+            (
+                "limited",
+                np.float64,
+                (n,),
+            ),  # sign of the amplifier's saturation in the last tick, 0 if none
             ("saturated", np.float64, (n,)),  # ticks in saturation
             ("model", model_state_dtype(arm)),
         ],
@@ -84,12 +103,18 @@ def position_servo(
     """
     error = position_setpoint - position
     # Anti-windup: no integration further into the amplifier's saturation.
-    advanced = clip(integrator + load(law.integral, width) * error, load(law.integrator_limit, width))
+    advanced = clip(
+        integrator + load(law.integral, width) * error, load(law.integrator_limit, width)
+    )
     integrator = select(error * limited <= 0.0, advanced, integrator)
     # The sign function, made continuous: a set-point that crosses zero must not switch the torque back and forth.
     sign = clip(velocity_setpoint / load(law.coulomb_velocity, width), 1.0)
-    viscous = load(law.viscous, width) * signed_power(velocity_setpoint, load(law.viscous_exponent, width))
-    feed_forward = load(law.inertia, width) * acceleration_setpoint + load(law.coulomb, width) * sign + viscous
+    viscous = load(law.viscous, width) * signed_power(
+        velocity_setpoint, load(law.viscous_exponent, width)
+    )
+    feed_forward = (
+        load(law.inertia, width) * acceleration_setpoint + load(law.coulomb, width) * sign + viscous
+    )
     return error, integrator, load(law.proportional, width) * error + integrator, feed_forward
 
 
@@ -108,7 +133,9 @@ def velocity_servo(
 
     D's damping, the amplifier's limit, and C, the current loop of first order with limited slew.
     """
-    damping = load(law.derivative, width) * (load(law.velocity_weight, width) * velocity_setpoint - velocity)
+    damping = load(law.derivative, width) * (
+        load(law.velocity_weight, width) * velocity_setpoint - velocity
+    )
     peak = load(law.peak_current, width)
     constant = load(law.torque_constant, width)
     requested = (position_torque + feed_forward + damping) / constant
@@ -152,7 +179,9 @@ def law_release(states: Record) -> None:
 
 
 @kernel
-def position_loop(laws: Record, states: Record, setpoint: Array, position: Array, velocity: Array) -> bool:
+def position_loop(
+    laws: Record, states: Record, setpoint: Array, position: Array, velocity: Array
+) -> bool:
     """Run PI, FF, with the torque of a model of arm and friction, and the supervision for one position tick.
 
     Args:
@@ -179,7 +208,9 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
     if setpoint.shape[0] > 3:
         to_motor(law.gear, setpoint[3], state.offset)
         offset = load(state.offset, n)
-        requested = select(offset == 0.0, requested, requested + offset)  # none leaves the bits, also those of -0
+        requested = select(
+            offset == 0.0, requested, requested + offset
+        )  # none leaves the bits, also those of -0
     error, integrator, position_torque, feed_forward = position_servo(
         law,
         n,
@@ -292,7 +323,9 @@ class DriveFault(NamedTuple):
 
     def __str__(self) -> str:
         """Return it as one line with the value and the limit."""
-        accepted = f"up to {self.limit:.4g} {self.unit}" if self.limit < np.inf else "finite torques"
+        accepted = (
+            f"up to {self.limit:.4g} {self.unit}" if self.limit < np.inf else "finite torques"
+        )
         return f"{self.joint}: {self.quantity} {self.value:.4g} {self.unit} at {self.time:.6g} s; accepted: {accepted}"
 
 
@@ -311,13 +344,17 @@ class CS7B:
         fault: the violation that the supervision has found since the last reset, or None; the owner then switches off.
     """
 
-    def __init__(self, robot: RobotModel, drives: DriveParameters, parameters: CS7BParameters, rates: Rates) -> None:
+    def __init__(
+        self, robot: RobotModel, drives: DriveParameters, parameters: CS7BParameters, rates: Rates
+    ) -> None:
         self.joint_names = robot.joint_names
         self.rates = rates
         self.law = parameters.record(robot, drives, rates)
         self.state: np.ndarray[Any, Any] = np.zeros(1, law_state_dtype(drives.turning.size))
         self._joints = n = len(robot.joint_names)
-        self.trajectory = TrajectoryGenerator(parameters.limits(robot), rates.position_period, np.zeros(n))
+        self.trajectory = TrajectoryGenerator(
+            parameters.limits(robot), rates.position_period, np.zeros(n)
+        )
         self.tick = 0
         # Set-points ahead, from a position tick on, of a revision of the generator.
         self._ahead = np.zeros((0, 3, n))
@@ -409,14 +446,18 @@ class CS7B:
         if velocity_loop(self.law, self.state, velocity) and self.fault is None:
             motor = int(np.argmin(np.isfinite(self.command)))
             time = self.tick * self.rates.period
-            self.fault = DriveFault(self.joint_names[motor], "torque", float(self.command[motor]), np.inf, "Nm", time)
+            self.fault = DriveFault(
+                self.joint_names[motor], "torque", float(self.command[motor]), np.inf, "Nm", time
+            )
         self.tick += 1
         return self.command
 
     def note_fault(self) -> None:
         """Keep the first fault, found by the supervision in the present tick."""
         if self.fault is None:
-            self.fault = DriveFault.of(self.joint_names, self.law, self.state, self.tick * self.rates.period)
+            self.fault = DriveFault.of(
+                self.joint_names, self.law, self.state, self.tick * self.rates.period
+            )
 
     @property
     def saturated(self) -> NDArray[np.int64]:
@@ -463,5 +504,9 @@ class CS7B:
         acceleration, commanded, current = self._details
         commanded[:] = self.state["commanded"][0]
         reported = self._measured[2] if self._currents_err else None
-        current[:] = self.state["current"][0] if reported is None else reported / self.law["torque_constant"][0]
+        current[:] = (
+            self.state["current"][0]
+            if reported is None
+            else reported / self.law["torque_constant"][0]
+        )
         return acceleration, commanded, current

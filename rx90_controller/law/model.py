@@ -26,7 +26,12 @@ from typing import Annotated, Any, Final, TypeAlias
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from rx90_common.arm_dynamics import body_dtype, inverse_dynamics, manipulator_dtype, manipulator_record
+from rx90_common.arm_dynamics import (
+    body_dtype,
+    inverse_dynamics,
+    manipulator_dtype,
+    manipulator_record,
+)
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import FileModel
@@ -37,7 +42,13 @@ from rx90_common.description.drives import DriveParameters, load_drives
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import DESCRIPTIONS, FILES, NO_TOOL
 from rx90_common.friction import FrictionElement, load_friction
-from rx90_common.friction.arm_elements import add_to_joints, element_inputs, fill_arm_parts, of_motors, transmit
+from rx90_common.friction.arm_elements import (
+    add_to_joints,
+    element_inputs,
+    fill_arm_parts,
+    of_motors,
+    transmit,
+)
 from rx90_common.friction.bristle import bristle_step
 from rx90_common.friction.compiled_elements import element_arrays, elements_dtype, load_elements
 from rx90_common.friction.parts.step import (
@@ -86,7 +97,10 @@ def model_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     friction = [
         ("z", np.float64, (e,)),  # deflections of the bristles, rad
         ("parts", parts_state_dtype(e)),
-        ("warm", np.int64),  # whether the temperatures have been computed, or are those of the start
+        (
+            "warm",
+            np.int64,
+        ),  # whether the temperatures have been computed, or are those of the start
         # Workspace.
         ("joint", np.float64, (n,)),
         ("motor", np.float64, (n,)),
@@ -95,7 +109,11 @@ def model_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
         [
             ("parts", np.int64),  # of the last position tick
             ("friction", np.dtype(friction, align=True)),
-            ("before", np.float64, (n,)),  # motor side, Nm: the feed-forward before the parts changed
+            (
+                "before",
+                np.float64,
+                (n,),
+            ),  # motor side, Nm: the feed-forward before the parts changed
             # Workspace.
             ("body", body_dtype(n)),
             ("q", np.float64, (n,)),
@@ -132,7 +150,12 @@ class ArmModel:
         model["friction"]["elements"] = element_arrays(self.friction)[0]
         drives = self.drives
         fill_arm_parts(
-            model["friction"]["parts"], self.friction, drives.turning, drives.gear, drives.motor_heat, period
+            model["friction"]["parts"],
+            self.friction,
+            drives.turning,
+            drives.gear,
+            drives.motor_heat,
+            period,
         )
 
 
@@ -201,7 +224,9 @@ class ModelFiles(FileModel):
         robot = load_robot(paths["urdf"], paths.get("tool"))
         drives = load_drives(paths["drives"])
         robot.check_count(paths["drives"], "gear", drives.gear)
-        friction = load_friction(paths["friction"], drives.turning.element_names(robot.joint_names)).elements
+        friction = load_friction(
+            paths["friction"], drives.turning.element_names(robot.joint_names)
+        ).elements
         known = tuple(element.replaced(scatter=None) for element in friction)
         return ArmModel(manipulator_record(robot.chain, drives), known, drives)
 
@@ -304,7 +329,9 @@ def _parted_friction(law: Any, own: Any, begins: bool) -> None:
             state.warm = 1
     angle = element_inputs(law.gear, own.q)
     velocity = element_inputs(law.gear, own.v)
-    z, torque = parts_step(friction.elements, friction.parts, state.parts, load(state.z, n), angle, velocity, period, n)
+    z, torque = parts_step(
+        friction.elements, friction.parts, state.parts, load(state.z, n), angle, velocity, period, n
+    )
     store(state.z, z)
     store(state.parts.friction, torque)
     advance_parts(friction.parts, state.parts, transmitted, period, n)
@@ -322,7 +349,9 @@ def _parted_friction(law: Any, own: Any, begins: bool) -> None:
 @inlined
 def _heat(model: Any, state: Any, stored: Lanes, motor: Lanes) -> None:
     n = size(state.z)
-    advance_temperatures(model.friction.parts.temperature, state.parts.temperature, stored, motor, model.period, n)
+    advance_temperatures(
+        model.friction.parts.temperature, state.parts.temperature, stored, motor, model.period, n
+    )
 
 
 @kernel

@@ -36,14 +36,30 @@ def controller_dtype(arm: ArmSize) -> np.dtype[np.void]:
             ("integral", np.float64, (n,)),  # motor side, Nm/rad per position tick
             ("integrator_limit", np.float64, (n,)),  # motor side, Nm
             ("derivative", np.float64, (n,)),  # motor side, Nm s/rad
-            ("inertia", np.float64, (n,)),  # motor side, kg m^2; 0 where acceleration feed-forward is off
-            ("velocity_weight", np.float64, (n,)),  # of the velocity set-point in D; 0 where it is off
+            (
+                "inertia",
+                np.float64,
+                (n,),
+            ),  # motor side, kg m^2; 0 where acceleration feed-forward is off
+            (
+                "velocity_weight",
+                np.float64,
+                (n,),
+            ),  # of the velocity set-point in D; 0 where it is off
             ("coulomb", np.float64, (n,)),  # motor side, Nm; 0 where the compensation is off
             ("coulomb_velocity", np.float64, (n,)),  # motor side, rad/s
-            ("viscous", np.float64, (n,)),  # motor side, Nm (s/rad)^exponent; 0 where the compensation is off
+            (
+                "viscous",
+                np.float64,
+                (n,),
+            ),  # motor side, Nm (s/rad)^exponent; 0 where the compensation is off
             ("torque_constant", np.float64, (n,)),
             ("peak_current", np.float64, (n,)),
-            ("current_step", np.float64, (n,)),  # largest change of the amplifier's current in a tick, A
+            (
+                "current_step",
+                np.float64,
+                (n,),
+            ),  # largest change of the amplifier's current in a tick, A
             ("current_gain", np.float64),  # of the current loop per tick
             ("following_error", np.float64, (n,)),  # supervised, motor side, rad
             ("over_speed", np.float64, (n,)),  # supervised, motor side, rad/s
@@ -67,12 +83,17 @@ _Exponent: TypeAlias = Annotated[float, Field(ge=ALPHA_BOUNDS[0], le=ALPHA_BOUND
 class Servo(FileModel):
     """Gains of the loops."""
 
-    inertia: Annotated[RowOf[_Inertia], quantity("kg m^2", "Nominal inertia, rotors included.", path="inertia")]
-    kp: Annotated[RowOf[_Rate], quantity("1/s", "Proportional gain of the position loop.", path="kp")]
+    inertia: Annotated[
+        RowOf[_Inertia], quantity("kg m^2", "Nominal inertia, rotors included.", path="inertia")
+    ]
+    kp: Annotated[
+        RowOf[_Rate], quantity("1/s", "Proportional gain of the position loop.", path="kp")
+    ]
     kv: Annotated[RowOf[_Rate], quantity("1/s", "Gain of the velocity loop.", path="kv")]
     ki: Annotated[RowOf[_IntegralGain], quantity("1/s^3", "Integral gain.", path="ki")]
     integrator_limit: Annotated[
-        RowOf[_Torque], quantity("Nm", "The most that the integrator gives.", path="integrator_limit")
+        RowOf[_Torque],
+        quantity("Nm", "The most that the integrator gives.", path="integrator_limit"),
     ]
 
 
@@ -83,20 +104,29 @@ class FeedForward(FileModel):
     """
 
     velocity: Annotated[
-        bool, Field(description="The velocity set-point in the D block; the paper has the measured velocity alone.")
+        bool,
+        Field(
+            description="The velocity set-point in the D block; the paper has the measured velocity alone."
+        ),
     ]
     acceleration: Annotated[bool, Field(description="Inertia times acceleration of the set-point.")]
     coulomb: Annotated[bool, Field(description="Coulomb friction compensation.")]
     viscous: Annotated[bool, Field(description="Viscous friction compensation.")]
     inverse_dynamics: Annotated[
         bool,
-        Field(description="Inverse dynamics of the model, weight included, in place of inertia times acceleration."),
+        Field(
+            description="Inverse dynamics of the model, weight included, in place of inertia times acceleration."
+        ),
     ] = False
     friction_model: Annotated[
         bool,
-        Field(description="Friction of the model, in place of Coulomb and viscous friction compensation."),
+        Field(
+            description="Friction of the model, in place of Coulomb and viscous friction compensation."
+        ),
     ] = False
-    coulomb_torque: Annotated[RowOf[_Torque], quantity("Nm", "Coulomb friction to compensate.", path="coulomb")]
+    coulomb_torque: Annotated[
+        RowOf[_Torque], quantity("Nm", "Coulomb friction to compensate.", path="coulomb")
+    ]
     coulomb_velocity: Annotated[
         float,
         quantity(
@@ -108,7 +138,8 @@ class FeedForward(FileModel):
         ),
     ]
     viscous_friction: Annotated[
-        RowOf[_Torque], quantity("Nm (s/rad)^viscous_exponent", "Viscous friction to compensate.", path="viscous")
+        RowOf[_Torque],
+        quantity("Nm (s/rad)^viscous_exponent", "Viscous friction to compensate.", path="viscous"),
     ]
     viscous_exponent: Annotated[
         RowOf[_Exponent],
@@ -120,7 +151,11 @@ class FeedForward(FileModel):
     @classmethod
     def _spread(cls, exponents: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
         """Give each joint the single exponent."""
-        return exponents * len(info.data.get("coulomb_torque", "1")) if len(exponents) == 1 else exponents
+        return (
+            exponents * len(info.data.get("coulomb_torque", "1"))
+            if len(exponents) == 1
+            else exponents
+        )
 
     @property
     def model_parts(self) -> int:
@@ -136,9 +171,12 @@ class FeedForward(FileModel):
 class CurrentLoop(FileModel):
     """Amplifiers."""
 
-    bandwidth: Annotated[float, quantity("Hz", "Bandwidth of the current loop.", gt=0.0, path="current_bandwidth")]
+    bandwidth: Annotated[
+        float, quantity("Hz", "Bandwidth of the current loop.", gt=0.0, path="current_bandwidth")
+    ]
     slew_rate: Annotated[
-        RowOf[Positive], quantity("A/s", "The amplifier's fastest change of current.", path="current_slew")
+        RowOf[Positive],
+        quantity("A/s", "The amplifier's fastest change of current.", path="current_slew"),
     ]
 
 
@@ -166,11 +204,18 @@ class TrajectoryLimits(FileModel):
 
     start_tolerance: Annotated[
         float,
-        quantity("rad", "How far a trajectory may start from the held set-point.", ge=0.0, path="start_tolerance"),
+        quantity(
+            "rad",
+            "How far a trajectory may start from the held set-point.",
+            ge=0.0,
+            path="start_tolerance",
+        ),
     ]
     max_acceleration: Annotated[
         RowOf[Positive],
-        quantity("rad/s^2", "The most that a set-point may ask of each joint.", path="max_acceleration"),
+        quantity(
+            "rad/s^2", "The most that a set-point may ask of each joint.", path="max_acceleration"
+        ),
     ]
 
 
@@ -250,7 +295,9 @@ class CS7BParameters(FileModel):
             self.trajectory.start_tolerance,
         )
 
-    def record(self, robot: RobotModel, drives: DriveParameters, rates: Rates) -> np.ndarray[Any, Any]:
+    def record(
+        self, robot: RobotModel, drives: DriveParameters, rates: Rates
+    ) -> np.ndarray[Any, Any]:
         """Return the law's constants, shape (1,), of `controller_dtype`."""
         sensor = drives.current_sensor
         loop = self.current_loop
@@ -270,7 +317,9 @@ class CS7BParameters(FileModel):
         law["integral"] = self.inertia * self.ki / gear_squared * rates.position_period
         law["integrator_limit"] = self.servo.integrator_limit / gear
         law["velocity_weight"] = float(switch.velocity)
-        law["inertia"] = self.inertia / gear_squared * (switch.acceleration and not switch.inverse_dynamics)
+        law["inertia"] = (
+            self.inertia / gear_squared * (switch.acceleration and not switch.inverse_dynamics)
+        )
         law["coulomb"] = self.coulomb / gear * (switch.coulomb and not switch.friction_model)
         law["coulomb_velocity"] = switch.coulomb_velocity * gear
         # A torque tau_v |v|^a of the joint, at the motor: 1/n of it, at a velocity n times as fast.
@@ -280,12 +329,16 @@ class CS7BParameters(FileModel):
         law["torque_constant"] = drives.torque_constant
         law["peak_current"] = drives.peak_current
         law["current_step"] = np.array(loop.slew_rate) * rates.period
-        law["current_gain"] = -exponential_less_one_of(-2.0 * math.pi * loop.bandwidth * rates.period)
+        law["current_gain"] = -exponential_less_one_of(
+            -2.0 * math.pi * loop.bandwidth * rates.period
+        )
         law["following_error"] = self.following_error * gear
         law["over_speed"] = self.supervision.over_speed * robot.max_velocity * gear
         if switch.model_parts:
             if self.model is None:
-                raise ConfigError("feed_forward by a model, without one; accepted: with one, or both switches off")
+                raise ConfigError(
+                    "feed_forward by a model, without one; accepted: with one, or both switches off"
+                )
             model = law["model"]
             model["parts"] = switch.model_parts
             self.model.constants.fill(model, rates.position_period)

@@ -49,7 +49,13 @@ class Slowable(TipTask, Protocol):
     """A path that can be travelled more slowly in places, as `rx90_controller.paths.path.Path`."""
 
     def within_limits(  # noqa: D102
-        self, names: Sequence[str], distance: Array, slope: Array, bend: Array, velocity: Array, most: Array
+        self,
+        names: Sequence[str],
+        distance: Array,
+        slope: Array,
+        bend: Array,
+        velocity: Array,
+        most: Array,
     ) -> TipTask: ...
 
 
@@ -83,7 +89,11 @@ class JointPath:
         q = self.postures.between(distance, self.distance, self.angles)
         slope, bend = self.postures.derivatives(distance, q)
         still = np.ptp(self.angles, axis=0) == 0.0
-        values = np.where(still, self.angles[0], q), np.where(still, 0.0, slope), np.where(still, 0.0, bend)
+        values = (
+            np.where(still, self.angles[0], q),
+            np.where(still, 0.0, slope),
+            np.where(still, 0.0, bend),
+        )
         angle, first, second = (value[:, : len(self.robot.joint_names)] for value in values)
         return angle, first, second
 
@@ -124,19 +134,29 @@ def _joint_path(robot: RobotModel, task: TipTask, acceleration: Array | None) ->
         at = _first(values < task.singularity_margin)
         if at < len(values):
             accepted = f">= {task.singularity_margin:g}"
-            faults.setdefault(at, f"{kind} singularity, margin {values[at]:.4f}; accepted: {accepted}")
+            faults.setdefault(
+                at, f"{kind} singularity, margin {values[at]:.4f}; accepted: {accepted}"
+            )
     q = q[: min(faults, default=len(q))]
     slope, _ = postures.derivatives(distance[: len(q)], q)
-    gap = np.abs(np.diff(q, axis=0) - 0.5 * (slope[1:] + slope[:-1]) * np.diff(distance[: len(q)])[:, None])
+    gap = np.abs(
+        np.diff(q, axis=0) - 0.5 * (slope[1:] + slope[:-1]) * np.diff(distance[: len(q)])[:, None]
+    )
     jumps = np.argwhere(gap[:, : len(robot.joint_names)] > _MAX_JUMP)
     if jumps.size:
         k, j = jumps[0].tolist()
         jump = q[k + 1, j] - q[k, j]
-        faults[k + 1] = f"{robot.joint_names[j]} jumps by {jump:.3f} rad to another branch; accepted: no jump"
+        faults[k + 1] = (
+            f"{robot.joint_names[j]} jumps by {jump:.3f} rad to another branch; accepted: no jump"
+        )
     if not faults and isinstance(task, Slowable):
         limit = np.full(len(robot.joint_names), np.inf) if acceleration is None else acceleration
-        slopes, bends = (each[:, : len(robot.joint_names)] for each in postures.derivatives(distance, q))
-        task = task.within_limits(robot.joint_names, distance, slopes, bends, robot.max_velocity, limit)
+        slopes, bends = (
+            each[:, : len(robot.joint_names)] for each in postures.derivatives(distance, q)
+        )
+        task = task.within_limits(
+            robot.joint_names, distance, slopes, bends, robot.max_velocity, limit
+        )
         postures = replace(postures, task=task)
     elif not faults:
         # What no speed can mend came first: near a singularity the joint speeds grow, whatever the line's speed.
@@ -145,8 +165,12 @@ def _joint_path(robot: RobotModel, task: TipTask, acceleration: Array | None) ->
             at = _first(rate[:, j] > robot.max_velocity[j])
             if at < len(rate):
                 most = task.speed * robot.max_velocity[j] / rate[:, j].max()
-                accepted = f"<= {robot.max_velocity[j]:.3f} rad/s (a line speed of about {most:.3g} m/s)"
-                faults.setdefault(at, f"{name} would turn at {rate[at, j]:.3f} rad/s; accepted: {accepted}")
+                accepted = (
+                    f"<= {robot.max_velocity[j]:.3f} rad/s (a line speed of about {most:.3g} m/s)"
+                )
+                faults.setdefault(
+                    at, f"{name} would turn at {rate[at, j]:.3f} rad/s; accepted: {accepted}"
+                )
     if faults:
         first = min(faults)
         at_m = float(distance[first])
@@ -205,7 +229,9 @@ class LinePlan:
     def points(self) -> TrajectoryPoints:
         """Return the points of the trajectory, as the controller takes them."""
         motion = (self.position.tolist(), self.velocity.tolist(), self.acceleration.tolist())
-        return TrajectoryPoints.create(self.joint_names, self.joint_names, self.times.tolist(), *motion)
+        return TrajectoryPoints.create(
+            self.joint_names, self.joint_names, self.times.tolist(), *motion
+        )
 
     @property
     def duration(self) -> float:
@@ -229,7 +255,11 @@ class LinePlan:
         With their `times`, s from the trajectory's start, a path that crosses itself or ends where it began is
         searched only around where the tip should be.
         """
-        near = None if times is None else self.task.profile().sample(times - self.task.rest_before).distance
+        near = (
+            None
+            if times is None
+            else self.task.profile().sample(times - self.task.rest_before).distance
+        )
         return self.task.error(tip, near).perpendicular
 
     def tip(self, times: Array) -> Array:
@@ -242,10 +272,14 @@ class LinePlan:
 
         Shape (n, 3, joints).
         """
-        return interpolate(self.times, self.position, self.velocity, self.acceleration).sample(times)
+        return interpolate(self.times, self.position, self.velocity, self.acceleration).sample(
+            times
+        )
 
 
-def plan_line(robot: RobotModel, task: TipTask, period: float = 1e-3, acceleration: Array | None = None) -> LinePlan:
+def plan_line(
+    robot: RobotModel, task: TipTask, period: float = 1e-3, acceleration: Array | None = None
+) -> LinePlan:
     """Plan a straight line, or another path.
 
     Args:
@@ -265,7 +299,9 @@ def plan_line(robot: RobotModel, task: TipTask, period: float = 1e-3, accelerati
         if plan.tip_error <= TIP_TOLERANCE:
             return plan
     probes, error = _tip_errors(plan)
-    at = float(path.task.profile().sample(probes - path.task.rest_before).distance[int(np.argmax(error))])
+    at = float(
+        path.task.profile().sample(probes - path.task.rest_before).distance[int(np.argmax(error))]
+    )
     raise LineError(
         f"the tip error between the knots is {plan.tip_error * 1e6:.3g} µm at {at:.3f} m from the start; accepted: <= "
         f"{TIP_TOLERANCE * 1e6:g} µm (a smaller acceleration, or a larger singularity_margin)"
@@ -307,7 +343,9 @@ def _tip_errors(plan: LinePlan) -> tuple[Array, Array]:
     return probes, length(tip - plan.tip(probes))
 
 
-def check_plan(plan: LinePlan, limits: JointLimits, period: float, start: Array, delay: float = 0.0) -> None:
+def check_plan(
+    plan: LinePlan, limits: JointLimits, period: float, start: Array, delay: float = 0.0
+) -> None:
     """Check the set-points of a line as the controller does.
 
     Args:
@@ -322,7 +360,9 @@ def check_plan(plan: LinePlan, limits: JointLimits, period: float, start: Array,
     """
     points = plan.points
     try:
-        TrajectoryGenerator(limits, period, start).accept(replace(points, times=points.times + delay), 0, None)
+        TrajectoryGenerator(limits, period, start).accept(
+            replace(points, times=points.times + delay), 0, None
+        )
     except TrajectoryError as error:
         raise LineError(f"the controller would refuse the {plan.task.what}: {error}") from error
 
@@ -344,9 +384,13 @@ class Approach:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.speed <= 1.0:
-            raise LineError(f"the approach speed is {self.speed:g}; accepted: a share in (0, 1] of the joint speeds")
+            raise LineError(
+                f"the approach speed is {self.speed:g}; accepted: a share in (0, 1] of the joint speeds"
+            )
         if not (math.isfinite(self.acceleration) and self.acceleration > 0.0):
-            raise LineError(f"the approach acceleration is {self.acceleration:g} rad/s^2; accepted: a number > 0")
+            raise LineError(
+                f"the approach acceleration is {self.acceleration:g} rad/s^2; accepted: a number > 0"
+            )
 
     def duration(self, robot: RobotModel, start: Array, end: Array) -> float:
         """Return how long a quintic move between two poses, rad, shape (n,), takes, s: up to 15/8 dq/T, 10/√3 dq/T²."""
@@ -423,13 +467,19 @@ def describe_line(plan: LinePlan) -> str:
         for kind, (margin, at) in plan.path.margins.items()
     ]
     lines += task.notes()
-    lines.append(f"{'joint':<10}{'start':>9}{'lowest':>9}{'highest':>9} deg{'peak':>9} deg/s{'of limit':>10}")
+    lines.append(
+        f"{'joint':<10}{'start':>9}{'lowest':>9}{'highest':>9} deg{'peak':>9} deg/s{'of limit':>10}"
+    )
     peak = np.abs(plan.velocity).max(axis=0)
     columns = (plan.start_pose, plan.position.min(axis=0), plan.position.max(axis=0), peak)
     share = peak / plan.path.robot.max_velocity
-    for name, *values, part in zip(plan.joint_names, *(np.degrees(column) for column in columns), share, strict=True):
+    for name, *values, part in zip(
+        plan.joint_names, *(np.degrees(column) for column in columns), share, strict=True
+    ):
         start, low, high, fast = values
-        lines.append(f"{name:<10}{start:9.2f}{low:9.2f}{high:9.2f}    {fast:9.2f}      {part:10.1%}")
+        lines.append(
+            f"{name:<10}{start:9.2f}{low:9.2f}{high:9.2f}    {fast:9.2f}      {part:10.1%}"
+        )
     return "\n".join(lines)
 
 
@@ -443,5 +493,9 @@ def _posture_text(path: JointPath) -> str:
         return str(path.task.branch)
     if postures.least_speed is not None:
         return "from the first on with the least joint speed: no motion in the null space"
-    free = "" if path.angles.shape[1] == path.position.shape[1] else "; the tool turns about its z axis as the arm does"
+    free = (
+        ""
+        if path.angles.shape[1] == path.position.shape[1]
+        else "; the tool turns about its z axis as the arm does"
+    )
     return f"each next to the one before{free}"

@@ -97,7 +97,9 @@ class LeastSpeed:
             q = q + j.T @ np.linalg.solve(j @ j.T + 1e-2 * (error @ error) * np.eye(_POSE), error)
         return None
 
-    def onwards(self, q: Array, step: float, pose: Pose, twists: tuple[Array, Array]) -> Array | None:
+    def onwards(
+        self, q: Array, step: float, pose: Pose, twists: tuple[Array, Array]
+    ) -> Array | None:
         """Return the angles (m,) at a pose that is a step, m, farther on than other angles, or None.
 
         `twists` are those of the tool, first and second derivative, at both places, each (2, 6).
@@ -143,7 +145,9 @@ class Postures:
             )
         arm = SphericalWristArm.from_chain(robot.chain)
         if given is not None and arm is not None:
-            raise LineError("start_posture of an arm with a spherical wrist; accepted: shoulder, elbow and wrist")
+            raise LineError(
+                "start_posture of an arm with a spherical wrist; accepted: shoulder, elbow and wrist"
+            )
         if given is not None and len(given) != len(names):
             raise LineError(_wrong_count(len(given), len(names)))
         least_speed = LeastSpeed(robot) if len(names) > _POSE else None
@@ -156,14 +160,21 @@ class Postures:
         if self.closed_form is not None:
             solved_at = self.closed_form.solve(chain, poses, self.task.branch)
             there = ~np.isnan(solved_at).any(axis=1)
-            return (solved_at, "") if there.all() else (solved_at[: int(np.argmin(there))], _OUT_OF_REACH)
+            return (
+                (solved_at, "")
+                if there.all()
+                else (solved_at[: int(np.argmin(there))], _OUT_OF_REACH)
+            )
         q: Array | None
         first = Pose(poses.position[0], poses.rotation[0])
         if self.task.start_posture is None:
             q = solve_anywhere(self.robot, first)
             missed = _OUT_OF_REACH
         else:
-            guess = np.append(self.task.start_posture, np.zeros(len(self.robot.lower) - len(self.task.start_posture)))
+            guess = np.append(
+                self.task.start_posture,
+                np.zeros(len(self.robot.lower) - len(self.task.start_posture)),
+            )
             q = solve_near(chain, first, guess)
             missed = self._missed(first, guess)
         found: list[Array] = []
@@ -177,7 +188,9 @@ class Postures:
                 q = solve_near(chain, pose, guess)
             else:
                 here = distance[len(found) - 1 : len(found) + 1]
-                q = self.least_speed.onwards(guess, float(here[1] - here[0]), pose, self.task.twists(here))
+                q = self.least_speed.onwards(
+                    guess, float(here[1] - here[0]), pose, self.task.twists(here)
+                )
             missed = self._missed(pose, guess) if q is None else ""
         return np.array(found).reshape(-1, len(self.robot.lower)), missed
 
@@ -185,14 +198,22 @@ class Postures:
         error = pose_error(self.robot.chain, newton_steps(self.robot.chain, pose, guess), pose)
         metres = float(length(error[:3]))
         turn = float(length(error[3:]))
-        return f"out of reach, Newton's steps end {metres:.3g} m and {turn:.3g} rad away; {_REACHABLE}"
+        return (
+            f"out of reach, Newton's steps end {metres:.3g} m and {turn:.3g} rad away; {_REACHABLE}"
+        )
 
     def derivatives(self, distance: Array, q: Array) -> tuple[Array, Array]:
         """Return first and second derivatives of angles (n, m) at distances (n,) m by these, rad/m and rad/m²."""
         twist, change = self.task.twists(distance)
         if self.least_speed is not None:
-            rows = [self.least_speed.derivatives(*row) for row in zip(q, twist, change, strict=True)]
-            slopes, bends = (np.array(each).reshape(q.shape) for each in zip(*rows, strict=True)) if rows else (q, q)
+            rows = [
+                self.least_speed.derivatives(*row) for row in zip(q, twist, change, strict=True)
+            ]
+            slopes, bends = (
+                (np.array(each).reshape(q.shape) for each in zip(*rows, strict=True))
+                if rows
+                else (q, q)
+            )
             return slopes, bends
         chain = self.robot.chain
         j = jacobian(chain, q)
@@ -207,10 +228,18 @@ class Postures:
         if self.closed_form is not None:
             return nearest_turn(self.closed_form.solve(chain, poses, self.task.branch), near)
         if self.least_speed is not None:
-            near = interpolate(known, angles, *self.derivatives(known, angles)).sample(distance)[:, 0]
-            found = [self.least_speed.put_right(guess, Pose(*pose)) for *pose, guess in zip(*poses, near, strict=True)]
+            near = interpolate(known, angles, *self.derivatives(known, angles)).sample(distance)[
+                :, 0
+            ]
+            found = [
+                self.least_speed.put_right(guess, Pose(*pose))
+                for *pose, guess in zip(*poses, near, strict=True)
+            ]
         else:
-            found = [solve_near(chain, Pose(*pose), guess) for *pose, guess in zip(*poses, near, strict=True)]
+            found = [
+                solve_near(chain, Pose(*pose), guess)
+                for *pose, guess in zip(*poses, near, strict=True)
+            ]
         return np.array([np.full(near.shape[1], np.nan) if row is None else row for row in found])
 
 

@@ -16,7 +16,13 @@ from rx90_common.base.models import FileModel, Row, Triple, quantity, read_model
 from rx90_common.description.branch import Branch
 from rx90_common.description.kinematics import PathError, Pose, path_error
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.description.rotations import axis_rotation, length, product, rpy_rotation, turn_between
+from rx90_common.description.rotations import (
+    axis_rotation,
+    length,
+    product,
+    rpy_rotation,
+    turn_between,
+)
 
 MARGIN_RANGE = (1e-3, 1.0)
 LONGEST_LINE = 10.0
@@ -34,7 +40,8 @@ _Rest: TypeAlias = Annotated[
     float, quantity("s", "Time at rest before, or after, the motion.", ge=0.0, le=LONGEST_REST)
 ]
 Angles: TypeAlias = Annotated[
-    tuple[Annotated[float, Field(ge=-360.0, le=360.0)], ...], Field(strict=False, min_length=3, max_length=3)
+    tuple[Annotated[float, Field(ge=-360.0, le=360.0)], ...],
+    Field(strict=False, min_length=3, max_length=3),
 ]
 """Roll, pitch and yaw about fixed axes, degrees."""
 
@@ -51,15 +58,25 @@ class TipMotion(FileModel):
     """What the motions along lines and along other paths have alike."""
 
     speed: Annotated[float, quantity("m/s", "Speed along the path.", gt=0.0)]
-    acceleration: Annotated[float, quantity("m/s^2", "Largest acceleration along the path.", gt=0.0)]
+    acceleration: Annotated[
+        float, quantity("m/s^2", "Largest acceleration along the path.", gt=0.0)
+    ]
     tool_rpy_degrees: Annotated[
-        Angles, quantity("deg", "Roll, pitch and yaw of the tool at the start, about fixed axes of base_link.")
+        Angles,
+        quantity(
+            "deg", "Roll, pitch and yaw of the tool at the start, about fixed axes of base_link."
+        ),
     ]
     rest_before: _Rest = 0.5
     rest_after: _Rest = 0.5
     singularity_margin: Annotated[
         float,
-        quantity("1", "Smallest accepted distance from a singularity.", ge=MARGIN_RANGE[0], le=MARGIN_RANGE[1]),
+        quantity(
+            "1",
+            "Smallest accepted distance from a singularity.",
+            ge=MARGIN_RANGE[0],
+            le=MARGIN_RANGE[1],
+        ),
     ] = 0.05
     start_posture: Annotated[
         Row | None,
@@ -94,10 +111,12 @@ class LineMotion(TipMotion):
     start: Annotated[Triple, quantity("m", "Start, in base_link.")]
     end: Annotated[Triple, quantity("m", "End, in base_link.")]
     end_tool_rpy_degrees: Annotated[
-        Angles | None, quantity("deg", "tool_rpy_degrees at the end, where the tool turns on the way.")
+        Angles | None,
+        quantity("deg", "tool_rpy_degrees at the end, where the tool turns on the way."),
     ] = None
     speed_policy: Annotated[
-        Literal["hold"], Field(description="A line holds its speed or is refused; a path may lower it.")
+        Literal["hold"],
+        Field(description="A line holds its speed or is refused; a path may lower it."),
     ] = "hold"
 
 
@@ -116,7 +135,9 @@ class TaskFile(FileModel):
         line = self.line
         end_rpy = radians(line.end_tool_rpy_degrees or line.tool_rpy_degrees)
         with located(file, LineError):
-            return LineTask(start=line.start, end=line.end, end_rpy=end_rpy, **line.values(self.posture))
+            return LineTask(
+                start=line.start, end=line.end, end_rpy=end_rpy, **line.values(self.posture)
+            )
 
 
 class PathMotion(NamedTuple):
@@ -207,7 +228,9 @@ class TrapezoidalProfile:
     def speed_at(self, distance: Array) -> Array:
         """Return the speed in m/s at `distance` m from the start, shape (n,)."""
         to_end = np.minimum(distance, self.length - distance)
-        return np.minimum(self.peak_speed, np.sqrt(2.0 * self.acceleration * np.maximum(to_end, 0.0)))
+        return np.minimum(
+            self.peak_speed, np.sqrt(2.0 * self.acceleration * np.maximum(to_end, 0.0))
+        )
 
 
 class TipTask(Protocol):
@@ -248,7 +271,9 @@ class TipTask(Protocol):
 
         The rest before does not count: the controller may still be taking up the weight of the arm.
         """
-        return self.rest_before, self.rest_before + self.profile().duration + min(SETTLING, self.rest_after)
+        return self.rest_before, self.rest_before + self.profile().duration + min(
+            SETTLING, self.rest_after
+        )
 
     def check_rests(self) -> None:
         """Check rests and singularity margin.
@@ -260,7 +285,9 @@ class TipTask(Protocol):
         for name, low, high, unit in (*rests, ("singularity_margin", *MARGIN_RANGE, "")):
             value = getattr(self, name)
             if not low <= value <= high:
-                raise LineError(f"{name} is {value:g}{unit}; accepted: a number in [{low:g}, {high:g}]")
+                raise LineError(
+                    f"{name} is {value:g}{unit}; accepted: a number in [{low:g}, {high:g}]"
+                )
 
 
 @dataclass(frozen=True)
@@ -306,10 +333,14 @@ class LineTask(TipTask):
             if len(value) != 3 or not all(math.isfinite(x) for x in value):
                 raise LineError(f"the line's {name} is {value}; accepted: three finite numbers")
         if self.length == 0.0:
-            raise LineError(f"the line starts and ends at {self.start} m; accepted: two different points")
+            raise LineError(
+                f"the line starts and ends at {self.start} m; accepted: two different points"
+            )
         # What no arm does, before the planning fills the memory with points of it.
         if self.length > LONGEST_LINE:
-            raise LineError(f"the line's length is {self.length:g} m; accepted: up to {LONGEST_LINE:g} m")
+            raise LineError(
+                f"the line's length is {self.length:g} m; accepted: up to {LONGEST_LINE:g} m"
+            )
         profile = self.profile()
         duration = profile.duration if profile.peak_speed > 0.0 else math.inf
         if duration > LONGEST_MOTION:

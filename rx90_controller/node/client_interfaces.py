@@ -28,7 +28,14 @@ from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange.cdr import CdrBody
 from rx90_common.exchange.cdr_stamps import ENCAPSULATION
 from rx90_common.exchange.channel import TickChannel
-from rx90_common.exchange.endpoints import LATCHED_QOS, REQUEST_QOS, STATE_QOS, publish, ros_time, subscribe
+from rx90_common.exchange.endpoints import (
+    LATCHED_QOS,
+    REQUEST_QOS,
+    STATE_QOS,
+    publish,
+    ros_time,
+    subscribe,
+)
 from rx90_common.exchange.pacing import error_log
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.node.servo_loop import ServoLoop
@@ -37,7 +44,9 @@ from rx90_controller.trajectory.request import Feedback, State, TrajectoryReques
 
 _WATCH_PERIOD = 0.5  # s between two looks for the simulation, while there is a goal
 _SIMULATION_TIMEOUT = 2.0  # s without one, after which the goal is given up
-_RESULT_TIMEOUT = 60.0  # s for which results are kept for clients that ask late; a goal may be large
+_RESULT_TIMEOUT = (
+    60.0  # s for which results are kept for clients that ask late; a goal may be large
+)
 _RESULT_GRACE = 2.0  # s in which the client of the last goal may ask for its result
 # turns of the executor in which a result is sent, and s of each at the most
 _FLUSH_SPINS = 10
@@ -45,7 +54,9 @@ _SPIN_TIMEOUT = 0.01
 _ENDS = "the controller ends"
 _POINT_ROWS = ((1, 1, 1, 0), (1, 1, 0, 0), (1, 1, 0, 0), (0, 0, 0, 1))
 """Which of positions, velocities, accelerations, efforts the state's reference, feedback, error and output have."""
-_OF_SEVERAL_AXES = 4  # points of joints that the arm has not, of three empty sequences and a time each
+_OF_SEVERAL_AXES = (
+    4  # points of joints that the arm has not, of three empty sequences and a time each
+)
 
 
 class _Server(ActionServer):
@@ -63,7 +74,9 @@ class _Server(ActionServer):
         if "result" in taken_data:
             self.on_result_request(bytes(taken_data["result"][1].goal_id.uuid))
 
-    def notify_execute(self, goal_handle: ServerGoalHandle, execute_callback: Callable[..., Any] | None) -> None:
+    def notify_execute(
+        self, goal_handle: ServerGoalHandle, execute_callback: Callable[..., Any] | None
+    ) -> None:
         """Do nothing: the goal is executed by the thread that ticks."""
 
     def finish(self, handle: ServerGoalHandle, end: Callable[[ServerGoalHandle], Any]) -> None:
@@ -89,7 +102,9 @@ class ClientInterfaces:
         publisher: of the state, for the check of its matched subscribers.
     """
 
-    def __init__(self, node: Node, loop: ServoLoop, cs7b: CS7B, state_ticks: int, channel: TickChannel) -> None:
+    def __init__(
+        self, node: Node, loop: ServoLoop, cs7b: CS7B, state_ticks: int, channel: TickChannel
+    ) -> None:
         self._node = node
         self._loop = loop
         self._cs7b = cs7b
@@ -99,7 +114,9 @@ class ClientInterfaces:
         self._goals: dict[bytes, TrajectoryRequest] = {}  # that may still be cancelled
         self._result_requested: set[bytes] = set()  # goals whose client has asked for the result
         self._checked: TrajectoryRequest | None = None  # the goal that is accepted next
-        self._checking = threading.Lock()  # an executor of several threads continues while the node ends
+        self._checking = (
+            threading.Lock()
+        )  # an executor of several threads continues while the node ends
         self._ending = False
         self._simulation_seen = time.monotonic()  # when the simulation was there
         qos = REQUEST_QOS
@@ -124,7 +141,9 @@ class ClientInterfaces:
         # Latched, as the original has it: what was asked for before this node was there counts, too.
         subscribe(node, SpeedScalingFactor, "~/speed_scaling_input", self._on_scaling, LATCHED_QOS)
         node.create_service(QueryTrajectoryState, "~/query_state", self._on_query, qos_profile=qos)
-        self.publisher = publish(node, JointTrajectoryControllerState, "~/controller_state", STATE_QOS)
+        self.publisher = publish(
+            node, JointTrajectoryControllerState, "~/controller_state", STATE_QOS
+        )
         self._state = _StateMessage(self._names)
         self._state_ns = self._tick_ns * state_ticks
 
@@ -153,7 +172,9 @@ class ClientInterfaces:
         with self._checking:
             there = self._channel.matches().publishers > 0
             missing = "" if there else "there is no simulation; accepted: once there is one"
-            self._checked = self._loop.receive(goal.trajectory, goal, _ENDS if self._ending else missing)
+            self._checked = self._loop.receive(
+                goal.trajectory, goal, _ENDS if self._ending else missing
+            )
         return GoalResponse.REJECT if self._checked is None else GoalResponse.ACCEPT
 
     def _on_accepted(self, handle: ServerGoalHandle) -> None:
@@ -186,7 +207,11 @@ class ClientInterfaces:
         if not self._loop.state.has_goal or self._channel.matches().publishers > 0:
             self._simulation_seen = now
         elif now - self._simulation_seen > _SIMULATION_TIMEOUT:
-            self._loop.post(GiveUp(f"the simulation is gone, for more than {_SIMULATION_TIMEOUT:g} s", halt=True))
+            self._loop.post(
+                GiveUp(
+                    f"the simulation is gone, for more than {_SIMULATION_TIMEOUT:g} s", halt=True
+                )
+            )
 
     def _on_scaling(self, message: SpeedScalingFactor) -> None:
         """Follow trajectories at the requested share of their speed, from now on."""
@@ -214,7 +239,10 @@ class ClientInterfaces:
             return response
         response.position, response.velocity, response.acceleration = state.tolist()
         if not moving:
-            reason = reason or f"time {tick * self._tick_ns * 1e-9:.6g} s; accepted: up to the end of the motion"
+            reason = (
+                reason
+                or f"time {tick * self._tick_ns * 1e-9:.6g} s; accepted: up to the end of the motion"
+            )
         response.success = not reason
         response.message = reason
         return response
@@ -223,7 +251,11 @@ class ClientInterfaces:
 
     def _finish(self, handle: ServerGoalHandle, goal: TrajectoryRequest) -> None:
         """Send the result of a goal."""
-        ends = {State.SUCCEEDED: handle.succeed, State.ABORTED: handle.abort, State.CANCELED: handle.canceled}
+        ends = {
+            State.SUCCEEDED: handle.succeed,
+            State.ABORTED: handle.abort,
+            State.CANCELED: handle.canceled,
+        }
 
         def end(_: ServerGoalHandle) -> Any:
             ends[goal.state]()
@@ -256,7 +288,9 @@ class ClientInterfaces:
         since_ns = round(min(max(since, 0.0), last) * NANOSECONDS)
         measured = np.array(cs7b.measured())
         torque = cs7b.tracking_error()[2]
-        self.publisher.publish(self._state.encode(stamp_ns, since_ns, cs7b.setpoint, measured, torque, scaling))
+        self.publisher.publish(
+            self._state.encode(stamp_ns, since_ns, cs7b.setpoint, measured, torque, scaling)
+        )
 
 
 def _point(state: Array, seconds: float) -> JointTrajectoryPoint:
@@ -310,13 +344,21 @@ class _StateMessage:
         self._scaling = view("<f8", scaling, 1)
 
     def encode(
-        self, stamp_ns: int, since_ns: int, setpoint: Array, measured: Array, torque: Array, scaling: float
+        self,
+        stamp_ns: int,
+        since_ns: int,
+        setpoint: Array,
+        measured: Array,
+        torque: Array,
+        scaling: float,
     ) -> bytes:
         """Return the message: set-points (3, n), measured positions and velocities (2, n), commanded torques (n,)."""
         self._stamp[:] = divmod(stamp_ns, NANOSECONDS)
         for from_start in self._times:
             from_start[:] = divmod(since_ns, NANOSECONDS)
-        for row, values in zip(self._rows, (*setpoint, *measured, *(setpoint[:2] - measured), torque), strict=True):
+        for row, values in zip(
+            self._rows, (*setpoint, *measured, *(setpoint[:2] - measured), torque), strict=True
+        ):
             row[:] = values
         self._scaling[:] = scaling
         return bytes(self._raw)

@@ -143,13 +143,19 @@ class Control:
         self._offset = np.zeros(len(cs7b.joint_names))
         self._correction = topic(CORRECTION), codec.encoder(position=self._offset)
         details = zip(DETAILS, (codec, motors, motors), cs7b.details(), strict=True)
-        self._details = [(topic(each), names.encoder(effort=values)) for each, names, values in details]
+        self._details = [
+            (topic(each), names.encoder(effort=values)) for each, names, values in details
+        ]
         self._detail_ns = tick_ns * parameters.slow_topics_every_n_ticks
-        self._accepted = node.create_publisher(JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS)
+        self._accepted = node.create_publisher(
+            JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS
+        )
         self.loop = loop = ServoLoop(cs7b, self, parameters.max_seconds_ahead, monitor_ticks)
         loop.post(TorqueSwitch(on=False, by_node=True))
         node.changes.allow(
-            _law_names(node), lambda values: law_of(of_file, values).record(robot, drives, rates), loop.change_law
+            _law_names(node),
+            lambda values: law_of(of_file, values).record(robot, drives, rates),
+            loop.change_law,
         )
         loop.options = parameters.options
         loop.tolerances = parameters.tolerances
@@ -157,11 +163,16 @@ class Control:
         loop.scale_speed(parameters.speed_scaling.initial_scaling_factor)
         self._report = node.create_guard_condition(loop.report)
         self._pacer = pacer = Pacer(rates.period, 1.0)
-        self.serving = Serving(channel, motor, rates, loop, pacer, name, self.info, self.error, local=local)
+        self.serving = Serving(
+            channel, motor, rates, loop, pacer, name, self.info, self.error, local=local
+        )
         self._subscribe(loop, local=local)
         node.create_service(SetBool, "~/enable", self._on_enable, qos_profile=REQUEST_QOS)
         interfaces = import_optional(
-            node, "client_interfaces", "the action follow_joint_trajectory is", missing_control_msgs()
+            node,
+            "client_interfaces",
+            "the action follow_joint_trajectory is",
+            missing_control_msgs(),
         )
         self.clients: ClientInterfaces | None = None
         if interfaces is not None:
@@ -170,7 +181,9 @@ class Control:
         if manager and (services := import_optional(
             node, "manager_services", "the services of a controller_manager are", missing_controller_manager_msgs()
         )):  # fmt: skip
-            services.ManagerServices(node, manager, loop, cs7b.joint_names, name, (rates.position_hz, rates.base_hz))
+            services.ManagerServices(
+                node, manager, loop, cs7b.joint_names, name, (rates.position_hz, rates.base_hz)
+            )
         self.publishers: tuple[Publisher, ...] = (
             *(row[0] for row in self._every_tick),
             *(row[0] for row in self._details),
@@ -189,10 +202,27 @@ class Control:
             SimulationMode(node, self._on_mode)
         # Before that of the trajectories: of two that wait the executor takes the first one first.
         correction = f"~/{COMMANDED_CORRECTION}"
-        subscribe(node, JointTrajectory, correction, loop.receive_correction, TRAJECTORY_QOS, check_trajectory_bytes)
-        subscribe(node, JointTrajectory, _TRAJECTORY, loop.receive, TRAJECTORY_QOS, check_trajectory_bytes)
-        subscribe(node, JointState, _SET_POINTS, partial(self._on_set_point, _SET_POINTS), TRAJECTORY_QOS)
-        subscribe(node, Float64MultiArray, _COMMANDS, partial(self._on_set_point, _COMMANDS), TRAJECTORY_QOS)
+        subscribe(
+            node,
+            JointTrajectory,
+            correction,
+            loop.receive_correction,
+            TRAJECTORY_QOS,
+            check_trajectory_bytes,
+        )
+        subscribe(
+            node, JointTrajectory, _TRAJECTORY, loop.receive, TRAJECTORY_QOS, check_trajectory_bytes
+        )
+        subscribe(
+            node, JointState, _SET_POINTS, partial(self._on_set_point, _SET_POINTS), TRAJECTORY_QOS
+        )
+        subscribe(
+            node,
+            Float64MultiArray,
+            _COMMANDS,
+            partial(self._on_set_point, _COMMANDS),
+            TRAJECTORY_QOS,
+        )
 
     # The ticking thread.
 
@@ -266,7 +296,9 @@ class Control:
         loop = self.loop
         names = self._cs7b.joint_names
         some = loop.options.allow_partial_joints_goal
-        loop.receive_stream(lambda: from_message(names, message, loop.servo.streaming, partial=some), source)
+        loop.receive_stream(
+            lambda: from_message(names, message, loop.servo.streaming, partial=some), source
+        )
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         refusal = self.loop.enable(request.data)
@@ -314,7 +346,9 @@ class Control:
         return DiagnosticStatus.OK, doing, values
 
 
-def import_optional(node: ManagedNode, name: str, what: str, missing: str | None) -> ModuleType | None:
+def import_optional(
+    node: ManagedNode, name: str, what: str, missing: str | None
+) -> ModuleType | None:
     """Return a module of this folder; if its requirements are missing, say once how to get them, and return None."""
     if missing is None:
         return import_module(f"rx90_controller.node.{name}")
@@ -335,7 +369,11 @@ class ControllerNode:
     """
 
     def __init__(
-        self, make_channel: MakeChannel = Channel, own_args: Sequence[str] = (), *, local: bool = False
+        self,
+        make_channel: MakeChannel = Channel,
+        own_args: Sequence[str] = (),
+        *,
+        local: bool = False,
     ) -> None:
         self.node = ManagedNode("rx90_controller", own_args, self, make_channel)
         self._local = local
@@ -436,11 +474,17 @@ def _allow_goal_changes(node: ManagedNode, names: Sequence[str], loop: ServoLoop
             constraints = Constraints.model_validate(nested(values)["constraints"])
         return GoalTolerances.of_parameters(names, constraints)
 
-    node.changes.allow(tuple(GoalOptions.model_fields), lambda values: GoalOptions(**values), change_options)
-    of_constraints = [name for name in node.get_parameters_by_prefix("") if name.startswith("constraints.")]
+    node.changes.allow(
+        tuple(GoalOptions.model_fields), lambda values: GoalOptions(**values), change_options
+    )
+    of_constraints = [
+        name for name in node.get_parameters_by_prefix("") if name.startswith("constraints.")
+    ]
     node.changes.allow(of_constraints, read_tolerances, change_tolerances)
 
 
 def _law_names(node: ManagedNode) -> list[str]:
     """Return the names of the declared parameters of the law."""
-    return [name for name in node.get_parameters_by_prefix("") if name.partition(".")[0] in LAW_BLOCKS]
+    return [
+        name for name in node.get_parameters_by_prefix("") if name.partition(".")[0] in LAW_BLOCKS
+    ]

@@ -39,7 +39,9 @@ TYPE: Final = "joint_trajectory_controller/JointTrajectoryController"
 """The type by which MoveIt and rqt_joint_trajectory_controller know whom to speak to, and how."""
 _BASE_CLASS = "controller_interface::ControllerInterface"
 _COMPONENT_TYPE = "system"
-_FIXED = "is the drive of its arm, and the only controller: nothing is loaded, unloaded or exchanged"
+_FIXED = (
+    "is the drive of its arm, and the only controller: nothing is loaded, unloaded or exchanged"
+)
 _ANOTHER_WAY = "~/enable and the node's life cycle switch it"
 
 
@@ -56,7 +58,13 @@ class ManagerServices:
     """
 
     def __init__(
-        self, node: Node, manager: str, loop: ServoLoop, joint_names: Sequence[str], robot: str, rates: tuple[int, int]
+        self,
+        node: Node,
+        manager: str,
+        loop: ServoLoop,
+        joint_names: Sequence[str],
+        robot: str,
+        rates: tuple[int, int],
     ) -> None:
         self._name = node.get_name()
         self._loop = loop
@@ -73,7 +81,9 @@ class ManagerServices:
             serve(ListControllers, "list_controllers", self._list_controllers)
         except (RuntimeError, ValueError) as error:
             accepted = "a name such as controller_manager or /cell/controller_manager, or nothing for no such services"
-            raise ConfigError(f"parameter controller_manager is {quoted(manager)}; accepted: {accepted}") from error
+            raise ConfigError(
+                f"parameter controller_manager is {quoted(manager)}; accepted: {accepted}"
+            ) from error
         serve(ListControllerTypes, "list_controller_types", self._list_types)
         serve(ListHardwareComponents, "list_hardware_components", self._list_components)
         serve(ListHardwareInterfaces, "list_hardware_interfaces", self._list_interfaces)
@@ -90,7 +100,9 @@ class ManagerServices:
 
     # What there is.
 
-    def _list_controllers(self, _: Any, response: ListControllers.Response) -> ListControllers.Response:
+    def _list_controllers(
+        self, _: Any, response: ListControllers.Response
+    ) -> ListControllers.Response:
         active = self._loop.state.switch.active
         state = ControllerState(
             name=self._name,
@@ -104,7 +116,9 @@ class ManagerServices:
         response.controller = [state]
         return response
 
-    def _list_types(self, _: Any, response: ListControllerTypes.Response) -> ListControllerTypes.Response:
+    def _list_types(
+        self, _: Any, response: ListControllerTypes.Response
+    ) -> ListControllerTypes.Response:
         response.types = [TYPE]
         response.base_classes = [_BASE_CLASS]
         return response
@@ -115,17 +129,23 @@ class ManagerServices:
 
         def of(names: Sequence[str], claimed: bool) -> list[HardwareInterface]:
             return [
-                HardwareInterface(name=name, data_type="double", is_available=True, is_claimed=claimed)
+                HardwareInterface(
+                    name=name, data_type="double", is_available=True, is_claimed=claimed
+                )
                 for name in names
             ]
 
         return of(self._command, claimed), of(self._states, False)
 
-    def _list_interfaces(self, _: Any, response: ListHardwareInterfaces.Response) -> ListHardwareInterfaces.Response:
+    def _list_interfaces(
+        self, _: Any, response: ListHardwareInterfaces.Response
+    ) -> ListHardwareInterfaces.Response:
         response.command_interfaces, response.state_interfaces = self._interfaces()
         return response
 
-    def _list_components(self, _: Any, response: ListHardwareComponents.Response) -> ListHardwareComponents.Response:
+    def _list_components(
+        self, _: Any, response: ListHardwareComponents.Response
+    ) -> ListHardwareComponents.Response:
         command, states = self._interfaces()
         component = HardwareComponentState(
             name=self._robot,
@@ -141,7 +161,9 @@ class ManagerServices:
 
     # What cannot be changed.
 
-    def _switch(self, request: SwitchController.Request, response: SwitchController.Response) -> Any:
+    def _switch(
+        self, request: SwitchController.Request, response: SwitchController.Response
+    ) -> Any:
         """Answer that all is as it should be already, or why it cannot be; strict requests are held to be changes."""
         activate = set(request.activate_controllers)
         deactivate = set(request.deactivate_controllers)
@@ -155,12 +177,16 @@ class ManagerServices:
             response.message = f"nothing to switch: {self._name} is {state}"
         else:
             others = f"; unknown: {', '.join(map(quoted, unknown))}" if unknown else ""
-            response.message = f"{self._name} is {state}{others}; it {_FIXED}; accepted: {_ANOTHER_WAY}"
+            response.message = (
+                f"{self._name} is {state}{others}; it {_FIXED}; accepted: {_ANOTHER_WAY}"
+            )
             self._requests.say("switch_controller", f"switch_controller: {response.message}")
         return response
 
     def _set_component_state(
-        self, request: SetHardwareComponentState.Request, response: SetHardwareComponentState.Response
+        self,
+        request: SetHardwareComponentState.Request,
+        response: SetHardwareComponentState.Response,
     ) -> Any:
         """Answer the state that the arm is in; no other can be reached."""
         target = request.target_state

@@ -16,7 +16,13 @@ from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import DESCRIPTIONS
 from rx90_common.exchange.parameters import RobotParameters, nested
 from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS
-from rx90_controller.law.parameters import CS7BParameters, FeedForward, Servo, Supervision, load_controller
+from rx90_controller.law.parameters import (
+    CS7BParameters,
+    FeedForward,
+    Servo,
+    Supervision,
+    load_controller,
+)
 from rx90_controller.trajectory.request import Constraints, GoalOptions, GoalTolerances
 from rx90_controller.trajectory.stream import StreamOptions
 
@@ -44,7 +50,12 @@ class ControllerFiles(RobotParameters):
     ] = ""
     max_seconds_ahead: Annotated[
         float,
-        quantity("s", "How far ahead of the controller's own time the stamp of a trajectory may lie.", ge=0.0, le=1e6),
+        quantity(
+            "s",
+            "How far ahead of the controller's own time the stamp of a trajectory may lie.",
+            ge=0.0,
+            le=1e6,
+        ),
     ] = 60.0
     slow_topics_every_n_ticks: Annotated[
         int,
@@ -85,10 +96,16 @@ class ControllerParameters(ControllerFiles, GoalOptions):
     ] = STATE_INTERFACES
     constraints: Constraints = Constraints()
     action_monitor_rate: Annotated[
-        float, _rate("Rate of the action's feedback, in simulated time; every whole number of position ticks.")
+        float,
+        _rate(
+            "Rate of the action's feedback, in simulated time; every whole number of position ticks."
+        ),
     ] = 20.0
     state_publish_rate: Annotated[
-        float, _rate("Rate of ~/controller_state, in simulated time; every whole number of position ticks.")
+        float,
+        _rate(
+            "Rate of ~/controller_state, in simulated time; every whole number of position ticks."
+        ),
     ] = 50.0
     controller_manager: Annotated[
         str,
@@ -110,13 +127,17 @@ class ControllerParameters(ControllerFiles, GoalOptions):
         Raises:
             ConfigError: for files that are none, and for joints and interfaces that are not the arm's.
         """
-        content = nested({name: value for name, value in given.items() if not _UNUSED_PARAMETERS.fullmatch(name)})
+        content = nested(
+            {name: value for name, value in given.items() if not _UNUSED_PARAMETERS.fullmatch(name)}
+        )
         files = ControllerFiles.of(content).files()
         names = load_robot(files.urdf).joint_names
         law = load_controller(files.controller)
         for block in LAW_BLOCKS:
             content[block] = _merged(dict(getattr(law, block)), content.get(block, {}))
-        constraints = content["constraints"] = _merged({name: {} for name in names}, content.get("constraints", {}))
+        constraints = content["constraints"] = _merged(
+            {name: {} for name in names}, content.get("constraints", {})
+        )
         if isinstance(constraints, dict):
             accepted = (*Constraints.model_fields, *names)
             for name in constraints:
@@ -125,7 +146,11 @@ class ControllerParameters(ControllerFiles, GoalOptions):
                     raise ConfigError(
                         f"parameter constraints.{plain(name)} is unknown{near}; accepted: {', '.join(accepted)}"
                     )
-        of_arm = {"joints": names, "command_interfaces": COMMAND_INTERFACES, "state_interfaces": STATE_INTERFACES}
+        of_arm = {
+            "joints": names,
+            "command_interfaces": COMMAND_INTERFACES,
+            "state_interfaces": STATE_INTERFACES,
+        }
         for place, values in of_arm.items():
             value = content.setdefault(place, values)
             if not isinstance(value, list | tuple) or sorted(map(str, value)) != sorted(values):
@@ -145,7 +170,9 @@ class ControllerParameters(ControllerFiles, GoalOptions):
     @property
     def options(self) -> GoalOptions:
         """Return the permitted exceptions from the checks."""
-        return GoalOptions(**{name: value for name, value in self if name in GoalOptions.model_fields})
+        return GoalOptions(
+            **{name: value for name, value in self if name in GoalOptions.model_fields}
+        )
 
     @property
     def tolerances(self) -> GoalTolerances:

@@ -38,8 +38,12 @@ class ProgramClient:
         self._names = list(names)
         trajectories = TrajectoryClient(client, controller)
         trajectories.wait_for_controller()
-        self._targets = client.node.create_publisher(JointState, f"{controller}/joint_setpoints", 10)
-        self._client.wait(lambda: self._targets.get_subscription_count() > 0, "a controller that takes set-points")
+        self._targets = client.node.create_publisher(
+            JointState, f"{controller}/joint_setpoints", 10
+        )
+        self._client.wait(
+            lambda: self._targets.get_subscription_count() > 0, "a controller that takes set-points"
+        )
         namespace = trajectories.topic.rsplit("/", 2)[0]
         self._arm = NewestPositions(client, f"{namespace}/joint_states", names)
         self.start = trajectories.joint_positions(names)
@@ -62,14 +66,18 @@ class ProgramClient:
             self._client.wait(lambda: self._arm.count > before + 1, "the arm's time")
             self._began = self._arm.time
         stamp = self._began + time
-        message = JointState(name=self._names, position=position.tolist(), velocity=velocity.tolist())
+        message = JointState(
+            name=self._names, position=position.tolist(), velocity=velocity.tolist()
+        )
         message.header.stamp = ros_time(round(stamp * NANOSECONDS))
         self._targets.publish(message)
         latest = monotonic() + self._client.timeout
         while self._arm.time < stamp:
             self._client.spin()
             if monotonic() > latest:
-                raise ExchangeError(f"the arm's time stands still at {self._arm.time:.3f} s; accepted: while it runs")
+                raise ExchangeError(
+                    f"the arm's time stands still at {self._arm.time:.3f} s; accepted: while it runs"
+                )
 
     def signals(self, receive: Callable[[set[int]], None]) -> Callable[[set[int]], None]:
         """Return what publishes the outputs that are on; `receive` gets the inputs that are on."""

@@ -34,7 +34,9 @@ _WAIT_SLICE = 0.1  # s of a wait for states; in free-running time also the time 
 _PATIENCE = 1.0  # s without a simulation, after which that is announced
 _MODE_PATIENCE = 5.0  # s with a simulation that does not announce its mode
 _MAX_LAG = 0.005  # s; up to here missed ticks are computed one by one, beyond it time is skipped
-_PHASE_ADVANCE = 0.02  # of a period: by so much it wakes earlier each time, until it is there before the states
+_PHASE_ADVANCE = (
+    0.02  # of a period: by so much it wakes earlier each time, until it is there before the states
+)
 _BACKWARD = 3  # jumps back within _BACKWARD_WINDOW that make two simulations; a reset makes one
 _BACKWARD_WINDOW = 5.0  # s
 
@@ -92,7 +94,9 @@ class Serving:
         self._encode_no_torque = commands.encoder()
         self._complaints = ThrottledLog(complain)
         self._log = ThrottledLog(announce)
-        self._backward: deque[float] = deque(maxlen=_BACKWARD)  # times at which the stamps have gone back
+        self._backward: deque[float] = deque(
+            maxlen=_BACKWARD
+        )  # times at which the stamps have gone back
         self._two_simulations = False
         self.mode: str | None = None
         self._changed = threading.Event()  # the mode is known, or the end is near
@@ -101,13 +105,17 @@ class Serving:
         # In lock-step.
         self._wait = Wait(announce, "the simulation is there:")
         self._stamp: int | None = None
-        self._state: bytes | None = None  # as received; an empty message must not pass for a repetition
+        self._state: bytes | None = (
+            None  # as received; an empty message must not pass for a repetition
+        )
         self._command = b""
         self._last_message = time.monotonic()
         # In free-running time.
         self._lag_ns = max(round(_MAX_LAG * NANOSECONDS), 2 * self._slow_ns)
         self._next: int | None = None  # the stamp of the next tick, once the loops have begun
-        self._elsewhere: int | None = None  # a stamp that does not follow; the next one may go on from there
+        self._elsewhere: int | None = (
+            None  # a stamp that does not follow; the next one may go on from there
+        )
         self._prepared = self._resting = False
 
     def run(self) -> None:
@@ -172,7 +180,9 @@ class Serving:
                     self._note_backward()
                     if self._two_simulations:
                         return
-            self._command = (self._encode if loop.step(stamp, states) else self._encode_no_torque)(stamp)
+            self._command = (self._encode if loop.step(stamp, states) else self._encode_no_torque)(
+                stamp
+            )
             self._stamp = stamp
             self._state = raw
             self._channel.publish(self._command)
@@ -201,7 +211,9 @@ class Serving:
                     self._announce(f"no fresh states on {self._topic}: the loops rest")
                 return
             self._pacer.shift(period)
-        batch = deque([raw], maxlen=self._lag_ns // self._period_ns)  # earlier ones are beyond the lag
+        batch = deque(
+            [raw], maxlen=self._lag_ns // self._period_ns
+        )  # earlier ones are beyond the lag
         while (raw := channel.receive(0.0)) is not None:
             batch.append(raw)
         command = None
@@ -226,7 +238,9 @@ class Serving:
         stamp = states.stamp_ns
         before = self._elsewhere
         if stamp != self._next:
-            if self._next is not None and (before is None or not 0 < stamp - before <= self._lag_ns):
+            if self._next is not None and (
+                before is None or not 0 < stamp - before <= self._lag_ns
+            ):
                 self._elsewhere = stamp
                 return False
             if not self._prepared:
@@ -286,7 +300,9 @@ class Serving:
         often = len(self._backward) == _BACKWARD and now - self._backward[0] < _BACKWARD_WINDOW
         if often and not self._two_simulations and self._channel.matches().publishers > 1:
             self._two_simulations = True
-            self._announce(f"two simulations publish on {self._topic}: no commands until one is left")
+            self._announce(
+                f"two simulations publish on {self._topic}: no commands until one is left"
+            )
 
     def _two_remain(self) -> bool:
         """Return whether there are two simulations, and still are."""
@@ -298,7 +314,10 @@ class Serving:
 
     def _announce_silence(self) -> None:
         """Say that there is no simulation, if there has been none for a while."""
-        if self._channel.matches().publishers == 0 and time.monotonic() - self._last_message > _PATIENCE:
+        if (
+            self._channel.matches().publishers == 0
+            and time.monotonic() - self._last_message > _PATIENCE
+        ):
             self._wait.begin(f"waiting for a simulation on {self._topic}")
 
     # Any thread.

@@ -40,7 +40,11 @@ from rx90_controller.servo.servo import MotorStates, Outputs, Servo
 from rx90_controller.servo.states import ServoState, Unstarted
 from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.generator import points_left
-from rx90_controller.trajectory.points import correction_from_points, points_from_message, trajectory_identity
+from rx90_controller.trajectory.points import (
+    correction_from_points,
+    points_from_message,
+    trajectory_identity,
+)
 from rx90_controller.trajectory.request import (
     GoalOptions,
     GoalTolerances,
@@ -51,7 +55,9 @@ from rx90_controller.trajectory.request import (
 )
 from rx90_controller.trajectory.stream import SetPoints, from_trajectory
 
-_ATTEMPTS = 3  # to join a long trajectory outside the ticks, each with more time than the one before
+_ATTEMPTS = (
+    3  # to join a long trajectory outside the ticks, each with more time than the one before
+)
 
 
 class ServoLoop:
@@ -72,18 +78,24 @@ class ServoLoop:
         tolerances: of trajectories, and of goals without tolerances of their own; likewise.
     """
 
-    def __init__(self, cs7b: CS7B, outputs: Outputs, horizon: float, monitor_ticks: int = 50) -> None:
+    def __init__(
+        self, cs7b: CS7B, outputs: Outputs, horizon: float, monitor_ticks: int = 50
+    ) -> None:
         self.between_ticks = threading.Lock()
         self.state: ServoState = Unstarted()
         self.servo = Servo(cs7b, outputs, horizon, monitor_ticks)
-        self.servo.complain_of_source = ThrottledLog(self.servo.complain).say  # set-points come by the hundred
+        self.servo.complain_of_source = ThrottledLog(
+            self.servo.complain
+        ).say  # set-points come by the hundred
         self.command = cs7b.command
         self.options = GoalOptions()
         self.tolerances = GoalTolerances.of_parameters(cs7b.joint_names)
         self._cs7b = cs7b
         self._events: deque[Event] = deque()
         self._unpublished = False  # whether the position loop has left something
-        self._correction: tuple[str, Correction] | None = None  # for the trajectory of that identity
+        self._correction: tuple[str, Correction] | None = (
+            None  # for the trajectory of that identity
+        )
 
     # The thread that ticks.
 
@@ -117,7 +129,9 @@ class ServoLoop:
                 return True
             if fault.quantity == "torque":
                 self._unpublished = False  # torques that are no numbers
-            self._publish(stamp_ns)  # before the reset: the values that led to the fault must be visible
+            self._publish(
+                stamp_ns
+            )  # before the reset: the values that led to the fault must be visible
             self.state = self.state.answer(servo, Fault(fault, states.position))
             return False
 
@@ -159,7 +173,9 @@ class ServoLoop:
         """
         self.post(LawChange(law, effective))
 
-    def change(self, *, options: GoalOptions | None = None, tolerances: GoalTolerances | None = None) -> int:
+    def change(
+        self, *, options: GoalOptions | None = None, tolerances: GoalTolerances | None = None
+    ) -> int:
         """Let others count for the next requests; return the time of the first tick that may be one's, ns."""
         with self.between_ticks:
             self.options = options or self.options
@@ -187,7 +203,9 @@ class ServoLoop:
 
     # The executor's thread.
 
-    def receive(self, message: Any, goal: Any = None, missing: str = "") -> TrajectoryRequest | None:
+    def receive(
+        self, message: Any, goal: Any = None, missing: str = ""
+    ) -> TrajectoryRequest | None:
         """Return a trajectory, checked by itself; None if it is refused, which is logged, or if it is of a stream.
 
         A trajectory of the topic is followed at once; a goal is left to `offer`, and must have points in the future.
@@ -202,7 +220,9 @@ class ServoLoop:
             self.receive_stream(partial(self._streamed, message), "the trajectory topic")
             return None
         try:
-            request = check_request(message, self.tolerances, self.options, self._cs7b.rates.position_hz, goal)
+            request = check_request(
+                message, self.tolerances, self.options, self._cs7b.rates.position_hz, goal
+            )
             self._correct(request)
             if goal is not None:
                 self._check_goal(request, missing)
@@ -302,7 +322,9 @@ class ServoLoop:
         if waiting is not None and waiting[0] == trajectory_identity(points):
             request.correction = waiting[1]
         elif requested:
-            raise TrajectoryError("its correction has not come; accepted: after it on ~/commanded_correction")
+            raise TrajectoryError(
+                "its correction has not come; accepted: after it on ~/commanded_correction"
+            )
         else:
             self.servo.note("the correction that waited belongs to another trajectory; dropped")
 

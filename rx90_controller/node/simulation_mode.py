@@ -25,7 +25,9 @@ _PATIENCE = 2.0  # s in which the graph may still hear of the sender's motor sta
 _HEARD = 1.5  # s in which a simulation sends, also one whose time stands still
 _MOST = 16  # other processes whose newest messages are kept, because they may be simulations later
 # The middleware keeps the newest of all publishers: with a depth of 1, a stranger's would replace the simulation's.
-_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_QOS = QoSProfile(
+    depth=1000, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
 _STATES_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
@@ -45,7 +47,9 @@ class SimulationMode:
         self._follow = follow
         self._complaints = error_log(node)
         self._subscription = self._subscribe(String, TIME_MODE, _QOS)
-        self._waiting: dict[bytes, tuple[float, bytes]] = {}  # by process: until when, and its newest message
+        self._waiting: dict[
+            bytes, tuple[float, bytes]
+        ] = {}  # by process: until when, and its newest message
         self._simulation = b""  # its process
         self._states: Subscription | None = None  # only while the simulation is looked for
         self._senders: set[bytes] = set()  # of states, since then
@@ -56,7 +60,9 @@ class SimulationMode:
 
     def _subscribe(self, kind: type, topic: str, qos: QoSProfile) -> Subscription:
         group = ManualCallbackGroup()
-        return self._node.create_subscription(kind, topic, never_called, qos, raw=True, callback_group=group)
+        return self._node.create_subscription(
+            kind, topic, never_called, qos, raw=True, callback_group=group
+        )
 
     def _look(self) -> None:
         now = time.monotonic()
@@ -68,7 +74,10 @@ class SimulationMode:
         if not self._waiting:
             return
         publishing = senders_on(self._node, MOTOR_STATES)
-        if self._simulation not in publishing and get_rmw_implementation_identifier() in NAMES_SENDERS:
+        if (
+            self._simulation not in publishing
+            and get_rmw_implementation_identifier() in NAMES_SENDERS
+        ):
             self._simulation = self._sender_of_states(now, publishing)
         if self._simulation in self._waiting:
             self._read(self._waiting.pop(self._simulation)[1])
@@ -112,7 +121,8 @@ class SimulationMode:
         except RuntimeError:  # the middleware's text names a place in its source
             topic = self._subscription.topic_name
             self._complaints.say(
-                "mode", f"{topic}: {counted(len(raw), 'byte')}, no std_msgs/String; the message is ignored"
+                "mode",
+                f"{topic}: {counted(len(raw), 'byte')}, no std_msgs/String; the message is ignored",
             )
         else:
             self._follow(mode)
@@ -127,4 +137,6 @@ class SimulationMode:
             if middleware not in NAMES_SENDERS:
                 why = f"of a process that {middleware} does not name, ignored: the simulation counts as in lock-step; "
                 why += f"accepted: {', '.join(NAMES_SENDERS)}"
-            self._node.get_logger().warning(one_line(f"{self._subscription.topic_name}: {text} {why}"))
+            self._node.get_logger().warning(
+                one_line(f"{self._subscription.topic_name}: {text} {why}")
+            )

@@ -26,7 +26,11 @@ from rx90_common.exchange.topics import COMMANDED_CORRECTION, COMMANDED_TRAJECTO
 from rx90_controller.lines.plan import Approach, LinePlan, approached
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
-from rx90_controller.trajectory.points import correction_points, message_content, trajectory_identity
+from rx90_controller.trajectory.points import (
+    correction_points,
+    message_content,
+    trajectory_identity,
+)
 
 _SETTLED = 1.2  # s without a change among those that listen; each participant announces itself every second, config/dds
 _NEXT_SAMPLE = 1.5  # s; at the slowest real_time_factor the samples of a simulation that runs come every second
@@ -125,7 +129,9 @@ class TrajectoryClient:
                 before = have
                 since = time.monotonic()
             if have < known and since > deadline:
-                self._client.say(f"{known - have} of {known} that listen to {self.topic} cannot be reached")
+                self._client.say(
+                    f"{known - have} of {known} that listen to {self.topic} cannot be reached"
+                )
                 return
             self._client.spin()
 
@@ -136,7 +142,9 @@ class TrajectoryClient:
             ExchangeError: if no joint states come within the client's timeout.
         """
         # The arm is in the controller's namespace, which need not be ours.
-        self._arm = self._newest(self.topic.rsplit("/", 2)[0] + "/joint_states", names, "position of the joints")
+        self._arm = self._newest(
+            self.topic.rsplit("/", 2)[0] + "/joint_states", names, "position of the joints"
+        )
         assert self._arm.position is not None
         return self._arm.position
 
@@ -190,7 +198,9 @@ class TrajectoryClient:
         if correction is not None:
             message.header.frame_id = CORRECTED
             there = self._corrections.get_subscription_count
-            self._client.wait(lambda: there() > 0, f"a controller on {self._corrections.topic_name}")
+            self._client.wait(
+                lambda: there() > 0, f"a controller on {self._corrections.topic_name}"
+            )
             offsets = trajectory_message(names, correction_points(correction))
             offsets.header.frame_id = trajectory_identity(points)
             self._corrections.publish(offsets)
@@ -200,7 +210,9 @@ class TrajectoryClient:
 
     def _confirm(self, publisher: Publisher, what: str) -> None:
         deadline = time.monotonic() + self._client.timeout
-        while not publisher.wait_for_all_acked(RclpyDuration(nanoseconds=round(POLL * NANOSECONDS))):
+        while not publisher.wait_for_all_acked(
+            RclpyDuration(nanoseconds=round(POLL * NANOSECONDS))
+        ):
             self._client.check_interrupt()
             if time.monotonic() >= deadline:
                 raise ExchangeError(
@@ -225,7 +237,9 @@ def enable_request(node: str, on: bool) -> ServiceRequest:
     return ServiceRequest(SetBool, service, SetBool.Request(data=on), spoken(service))
 
 
-def trajectory_message(names: Sequence[str], points: TrajectoryPoints, start_time: float = 0.0) -> JointTrajectory:
+def trajectory_message(
+    names: Sequence[str], points: TrajectoryPoints, start_time: float = 0.0
+) -> JointTrajectory:
     """Return the points as a message that starts at `start_time`, s; 0 means when it arrives."""
     message = JointTrajectory(joint_names=list(names))
     message.header.stamp = ros_time(round(start_time * NANOSECONDS))
@@ -273,7 +287,9 @@ def deliver(
     # else: where the arm will be by then is not known here; the controller checks it
     line = approached(plan, here, limits, set_point_period, approach)
     if line.approach > 0.0:
-        client.say(f"approach: {np.degrees(line.way):.1f} deg in {line.farthest}, {line.approach:.3f} s")
+        client.say(
+            f"approach: {np.degrees(line.way):.1f} deg in {line.farthest}, {line.approach:.3f} s"
+        )
     later = None if correction is None else correction.later(line.approach)
     trajectory.send(plan.joint_names, line.points, start_time, later)
     start = f"at {start_time:g} s" if start_time else "now"
@@ -282,4 +298,6 @@ def deliver(
     )
     standing = trajectory.standing_time()
     if standing is not None:
-        client.say(f"the simulation's time stands still at {standing:.6g} s: the arm moves when it runs on")
+        client.say(
+            f"the simulation's time stands still at {standing:.6g} s: the arm moves when it runs on"
+        )

@@ -73,7 +73,9 @@ class Circular:
         """Return a derivative."""
         angle = distance / self.radius + 0.5 * math.pi * order
         radial = np.cos(angle)[:, None] * self.outward + np.sin(angle)[:, None] * self.onward
-        return np.asarray(self.radius ** (1 - order) * radial + (self.center if order == 0 else 0.0))
+        return np.asarray(
+            self.radius ** (1 - order) * radial + (self.center if order == 0 else 0.0)
+        )
 
 
 class Polynomial:
@@ -86,8 +88,12 @@ class Polynomial:
     def __init__(self, curve: PPoly) -> None:
         self._orders = [curve.derivative(k) if k else curve for k in range(4)]
         knots = curve.x
-        self._cells = np.append(np.linspace(knots[:-1], knots[1:], _CELLS, endpoint=False).T.ravel(), knots[-1])
-        self._lengths = np.concatenate([[0.0], np.cumsum(self._way(self._cells[:-1], self._cells[1:]))])
+        self._cells = np.append(
+            np.linspace(knots[:-1], knots[1:], _CELLS, endpoint=False).T.ravel(), knots[-1]
+        )
+        self._lengths = np.concatenate(
+            [[0.0], np.cumsum(self._way(self._cells[:-1], self._cells[1:]))]
+        )
         self.length = float(self._lengths[-1])
         self.knots: Array = self._lengths[::_CELLS]
 
@@ -98,7 +104,9 @@ class Polynomial:
         return np.asarray(half * (length(self._orders[1](at)) @ _WEIGHTS))
 
     def _parameter(self, distance: Array) -> Array:
-        cell = np.clip(np.searchsorted(self._lengths, distance, side="right") - 1, 0, len(self._cells) - 2)
+        cell = np.clip(
+            np.searchsorted(self._lengths, distance, side="right") - 1, 0, len(self._cells) - 2
+        )
         first = self._cells[cell]
         last = self._cells[cell + 1]
         way = distance - self._lengths[cell]
@@ -125,7 +133,11 @@ class Polynomial:
             return np.asarray(normal / speed**2)
         third = self._orders[3](u)
         turn = normal / speed
-        change = third - growth * turn - np.sum(turn * second + tangent * third, axis=1)[:, None] * tangent
+        change = (
+            third
+            - growth * turn
+            - np.sum(turn * second + tangent * third, axis=1)[:, None] * tangent
+        )
         return np.asarray((change - 2.0 * growth * normal / speed) / speed**3)
 
 
@@ -196,7 +208,9 @@ def arc_about(start: Array, center: Array, end: Array, normal: Array) -> Circula
     for what, place in (("start", start), ("end", end)):
         off = float((place - center) @ normal)
         if abs(off) > _ROUNDED:
-            raise LineError(f"an arc whose {what} is {off:.6g} m out of its plane; accepted: within {_ROUNDED:g} m")
+            raise LineError(
+                f"an arc whose {what} is {off:.6g} m out of its plane; accepted: within {_ROUNDED:g} m"
+            )
     center = center + ((start - center) @ normal) * normal
     chord = end - start
     if np.any(chord):
@@ -210,7 +224,9 @@ def _arc(start: Array, center: Array, end: Array, normal: Array) -> Circular:
     radius = float(length(start - center))
     outward = (start - center) / radius
     onward = np.cross(normal, outward)
-    angle = math.atan2(float((end - center) @ onward), float((end - center) @ outward)) % (2.0 * math.pi)
+    angle = math.atan2(float((end - center) @ onward), float((end - center) @ outward)) % (
+        2.0 * math.pi
+    )
     if not np.any(end - start):
         angle = 2.0 * math.pi
     return Circular(center, outward, onward, radius, radius * angle)
@@ -233,7 +249,9 @@ def spline_through(points: Array, corner: bool) -> CubicSpline:
     """
     chords = length(np.diff(points, axis=0))
     if not chords.all():
-        raise LineError(f"a spline with the point {_point(points[int(np.argmin(chords))])} m twice; accepted: once")
+        raise LineError(
+            f"a spline with the point {_point(points[int(np.argmin(chords))])} m twice; accepted: once"
+        )
     from scipy.interpolate import CubicSpline  # takes a while
 
     closed = len(points) > 3 and not corner and not np.any(points[-1] - points[0])
@@ -246,7 +264,9 @@ def _blend(before: Piece, after: Piece, zone: float) -> Polynomial:
     from scipy.interpolate import PPoly
 
     ends = (before, np.array([before.length - zone])), (after, np.array([zone]))
-    (p0, t0, k0), (p1, t1, k1) = ([piece.at(at, order)[0] for order in range(3)] for piece, at in ends)
+    (p0, t0, k0), (p1, t1, k1) = (
+        [piece.at(at, order)[0] for order in range(3)] for piece, at in ends
+    )
     reach = 2.0 * zone
     v0 = reach * t0
     v1 = reach * t1
@@ -288,7 +308,9 @@ class Curve:
                 self._check_zone(i, piece, pieces[i + 1], zone)
             straight = piece.length - blended - zone
             if straight > 1e-9:
-                self._pieces.append(piece if straight == piece.length else _Part(piece, blended, straight))
+                self._pieces.append(
+                    piece if straight == piece.length else _Part(piece, blended, straight)
+                )
                 at += straight
             if zone > 0.0:
                 blend = _blend(piece, pieces[i + 1], zone)
@@ -307,7 +329,9 @@ class Curve:
     def _check_zone(i: int, piece: Piece, after: Piece, zone: float) -> None:
         most = 0.5 * min(piece.length, after.length)
         if zone > most * (1.0 + 1e-9):
-            raise LineError(f"segment {i}: zone is {zone:g} m; accepted: up to {most:.6g} m, half of its neighbours")
+            raise LineError(
+                f"segment {i}: zone is {zone:g} m; accepted: up to {most:.6g} m, half of its neighbours"
+            )
         turn = float(piece.at(np.array([piece.length]), 1)[0] @ after.at(np.zeros(1), 1)[0])
         if turn < _SHARPEST:
             raise LineError(
@@ -318,7 +342,9 @@ class Curve:
     def at(self, distance: Array, order: int = 0) -> Array:
         """Return the derivative of an order, 0 to 3, by the distance (n,) m, of the next piece at a joint; (n, 3)."""
         distance = np.clip(np.asarray(distance, dtype=np.float64), 0.0, self.length)
-        which = np.clip(np.searchsorted(self.starts, distance, side="right") - 1, 0, len(self._pieces) - 1)
+        which = np.clip(
+            np.searchsorted(self.starts, distance, side="right") - 1, 0, len(self._pieces) - 1
+        )
         found = np.empty((len(distance), 3))
         for k in np.unique(which):
             rows = which == k
@@ -333,7 +359,9 @@ class Curve:
     def jumps(self, order: int) -> Array:
         """Return by how much a derivative jumps where one piece follows another, (m - 1,)."""
         ends = [np.array([piece.length]) for piece in self._pieces[:-1]]
-        before = [piece.at(end, order)[0] for piece, end in zip(self._pieces[:-1], ends, strict=True)]
+        before = [
+            piece.at(end, order)[0] for piece, end in zip(self._pieces[:-1], ends, strict=True)
+        ]
         after = [piece.at(np.zeros(1), order)[0] for piece in self._pieces[1:]]
         return length(np.subtract(after, before).reshape(-1, 3))
 
@@ -388,7 +416,9 @@ class Curve:
             tangent = self.at(at, 1)
             bend = self.at(at, 2)
             slope = 1.0 + np.sum(off * bend, axis=1)
-            at = np.clip(at - np.sum(off * tangent, axis=1) / np.where(slope > 0.1, slope, 1.0), low, inside)
+            at = np.clip(
+                at - np.sum(off * tangent, axis=1) / np.where(slope > 0.1, slope, 1.0), low, inside
+            )
         return np.asarray(at)
 
 

@@ -16,7 +16,14 @@ from rx90_common.base.errors import LineError
 from rx90_common.base.quoting import counted
 from rx90_common.description.branch import Branch
 from rx90_common.description.kinematics import PathError, Pose
-from rx90_common.description.rotations import axis_rotation, product, rotated, rpy_rotation, transposed, turn_between
+from rx90_common.description.rotations import (
+    axis_rotation,
+    product,
+    rotated,
+    rpy_rotation,
+    transposed,
+    turn_between,
+)
 from rx90_controller.lines.task import (
     DEFAULT_BRANCH,
     LONGEST_LINE,
@@ -40,9 +47,13 @@ _MAX_PARTS = 50
 _JUMP = 1e-3  # rad/m: a smaller change of the tool's turn by the distance is rounding
 _BLOCK = 5e-3  # m of the path that have one lowered speed, at least
 _BLOCKS = 40  # in a stretch of one speed, at most
-_SPEED_RESERVE = 0.99  # of a joint's limit: the places between those that are looked at need a little more
+_SPEED_RESERVE = (
+    0.99  # of a joint's limit: the places between those that are looked at need a little more
+)
 _RESERVE = 0.9  # of a joint's acceleration: quintics round its steps, and overshoot
-_ACCELERATION_SHARE = 0.5  # of a joint's limit for the path's own acceleration, where it is short of it
+_ACCELERATION_SHARE = (
+    0.5  # of a joint's limit for the path's own acceleration, where it is short of it
+)
 
 
 def _check_word(name: str, word: str, accepted: Sequence[str]) -> None:
@@ -83,7 +94,9 @@ class Segment:
         """
         points = np.array([start, *self.points], dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or not np.abs(points).max() <= _FARTHEST:
-            raise LineError(f"has the points {self.points}; accepted: three numbers for each, up to {_FARTHEST:g} m")
+            raise LineError(
+                f"has the points {self.points}; accepted: three numbers for each, up to {_FARTHEST:g} m"
+            )
         if self.kind == "line" and len(points) == 2:
             return line(*points)
         if self.kind == "spline":
@@ -145,20 +158,28 @@ class Path(TipTask):
 
     def __post_init__(self) -> None:
         if len(self.start_rpy) != 3 or not all(math.isfinite(x) for x in self.start_rpy):
-            raise LineError(f"the path's start_rpy is {self.start_rpy}; accepted: three finite numbers")
+            raise LineError(
+                f"the path's start_rpy is {self.start_rpy}; accepted: three finite numbers"
+            )
         _check_word("orientation", self.orientation, ORIENTATIONS)
         _check_word("speed_policy", self.speed_policy, SPEED_POLICIES)
         if not self.segments:
             raise LineError("the path has no segments; accepted: one or more")
         values = [("speed", self.speed), ("acceleration", self.acceleration), ("jerk", self.jerk)]
         for i, segment in enumerate(self.segments):
-            values += [(f"segment {i}: speed", self.speed if segment.speed is None else segment.speed)]
+            values += [
+                (f"segment {i}: speed", self.speed if segment.speed is None else segment.speed)
+            ]
             if not (math.isfinite(segment.zone) and segment.zone >= 0.0):
                 raise LineError(f"segment {i}: zone is {segment.zone:g} m; accepted: a number >= 0")
             if segment.end_rpy is not None and self.orientation != INTERPOLATED:
-                raise LineError(f"segment {i} turns the tool; accepted: with the orientation {INTERPOLATED}")
+                raise LineError(
+                    f"segment {i} turns the tool; accepted: with the orientation {INTERPOLATED}"
+                )
         if self.segments[-1].zone > 0.0:
-            raise LineError(f"segment {len(self.segments) - 1}: zone at the end of the path; accepted: before another")
+            raise LineError(
+                f"segment {len(self.segments) - 1}: zone at the end of the path; accepted: before another"
+            )
         for name, value in values:
             if not value > 0.0 or (math.isinf(value) and name != "jerk"):
                 raise LineError(f"{name} is {value:g}; accepted: a number > 0")
@@ -169,7 +190,9 @@ class Path(TipTask):
         if self.orientation == TANGENT:
             self._check_tangent()
         if not self.profile().duration <= LONGEST_MOTION:
-            raise LineError(f"the path would take {self.profile().duration:g} s; accepted: up to {LONGEST_MOTION:g} s")
+            raise LineError(
+                f"the path would take {self.profile().duration:g} s; accepted: up to {LONGEST_MOTION:g} s"
+            )
 
     @cached_property
     def curve(self) -> Curve:
@@ -228,7 +251,9 @@ class Path(TipTask):
 
     @cached_property
     def _profile(self) -> LimitedProfile:
-        return LimitedProfile((*self._limits, *self.lowered), self.stops, self.acceleration, self.jerk)
+        return LimitedProfile(
+            (*self._limits, *self.lowered), self.stops, self.acceleration, self.jerk
+        )
 
     def profile(self) -> LimitedProfile:
         """Return the motion along the path."""
@@ -258,7 +283,11 @@ class Path(TipTask):
         low = self.curve.starts[:-1][short]
         high = self.curve.starts[1:][short]
         inside = np.linspace(low, high, 9)[1:-1]
-        bend = np.linalg.norm(self.curve.at(inside.ravel(), 2), axis=1).reshape(inside.shape).max(axis=0, initial=0.0)
+        bend = (
+            np.linalg.norm(self.curve.at(inside.ravel(), 2), axis=1)
+            .reshape(inside.shape)
+            .max(axis=0, initial=0.0)
+        )
         begins = np.append(distance[:-1], low)
         ends = np.append(distance[1:], high)
         parts = np.ceil(np.append(np.maximum(turn[1:], turn[:-1]), bend * (high - low)) / _TURN)
@@ -285,13 +314,17 @@ class Path(TipTask):
             rotation[rows] = product(axis_rotation(axis, angle * share[0]), rpy_rotation(rpy))
         return Pose(position, rotation)
 
-    def _turns(self, distance: Array) -> list[tuple[Index, tuple[float, ...], Array, tuple[Array, Array, Array]]]:
+    def _turns(
+        self, distance: Array
+    ) -> list[tuple[Index, tuple[float, ...], Array, tuple[Array, Array, Array]]]:
         """Return for each segment its rows, orientation at its start, turn, and the completed share of the turn.
 
         The share comes with its first and second derivative by the distance.
         """
         joints = self.curve.joints
-        which = np.clip(np.searchsorted(joints, distance, side="right") - 1, 0, len(self.segments) - 1)
+        which = np.clip(
+            np.searchsorted(joints, distance, side="right") - 1, 0, len(self.segments) - 1
+        )
         found = []
         rpy = self.start_rpy
         for i, segment in enumerate(self.segments):
@@ -342,11 +375,21 @@ class Path(TipTask):
     def notes(self) -> list[str]:
         """Return lines of text for a person: where the tool stops, and lowered values."""
         inner = [f"{at:.3f}" for at in self.stops[1:-1]]
-        stops = [f"stops     {len(inner)}, at {', '.join(inner[:6])}{', ...' * (len(inner) > 6)} m"] if inner else []
+        stops = (
+            [f"stops     {len(inner)}, at {', '.join(inner[:6])}{', ...' * (len(inner) > 6)} m"]
+            if inner
+            else []
+        )
         return [*stops, *(f"limits    {remark}" for remark in self.remarks)]
 
     def within_limits(
-        self, names: Sequence[str], distance: Array, slope: Array, bend: Array, velocity: Array, most: Array
+        self,
+        names: Sequence[str],
+        distance: Array,
+        slope: Array,
+        bend: Array,
+        velocity: Array,
+        most: Array,
     ) -> Path:
         """Return the path with speeds, and the acceleration, at which no joint exceeds its limits.
 

@@ -73,7 +73,9 @@ class LimitedProfile:
         steps = (1.0, 2.0) if math.isfinite(self.jerk) else (0.0,)
         for step in steps:  # ramps up and down within the mean's time have twice the jump of one
             mean = step * self._steepest / self.jerk
-            phases: list[tuple[float, float, float, float]] = []  # duration, distance, speed, acceleration
+            phases: list[
+                tuple[float, float, float, float]
+            ] = []  # duration, distance, speed, acceleration
             for begin, end in pairwise(self.stops):
                 phases += self._between(begin, end, mean)
                 phases.append((mean, end, 0.0, 0.0))
@@ -87,13 +89,17 @@ class LimitedProfile:
                 break
         return PPoly(np.array([0.5 * rows[:, 3], rows[:, 2], rows[:, 1]]), times), mean
 
-    def _between(self, begin: float, end: float, mean: float) -> list[tuple[float, float, float, float]]:
+    def _between(
+        self, begin: float, end: float, mean: float
+    ) -> list[tuple[float, float, float, float]]:
         """Return the phases from one stop to the next."""
         widened = []
         for one in self.limits:
             if one.begin < end and one.end > begin:
                 way = 0.5 * mean * one.speed
-                widened.append(one._replace(begin=max(begin, one.begin - way), end=min(end, one.end + way)))
+                widened.append(
+                    one._replace(begin=max(begin, one.begin - way), end=min(end, one.end + way))
+                )
         edges = np.unique([begin, end, *(place for one in widened for place in one[:2])])
         middles = 0.5 * (edges[1:] + edges[:-1])
         most = np.full(len(middles), np.inf)
@@ -159,7 +165,11 @@ class LimitedProfile:
         t = np.asarray(times, dtype=np.float64)
         if mean == 0.0:
             inside = (t >= 0.0) & (t <= end)
-            found = at(motion, t, self.length), at(speed, t, 0.0), np.where(inside, speed.derivative()(t), 0.0)
+            found = (
+                at(motion, t, self.length),
+                at(speed, t, 0.0),
+                np.where(inside, speed.derivative()(t), 0.0),
+            )
         else:
             total = float(whole(end))
             after = np.maximum(t - end, 0.0), np.maximum(t - mean - end, 0.0)
@@ -172,7 +182,9 @@ class LimitedProfile:
             )
         over = t >= end + mean
         before = t <= 0.0
-        distance = np.where(over, self.length, np.where(before, 0.0, np.clip(found[0], 0.0, self.length)))
+        distance = np.where(
+            over, self.length, np.where(before, 0.0, np.clip(found[0], 0.0, self.length))
+        )
         still = over | before if mean > 0.0 else (t > end) | (t < 0.0)
         return PathMotion(distance, np.where(still, 0.0, found[1]), np.where(still, 0.0, found[2]))
 

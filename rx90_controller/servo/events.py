@@ -54,7 +54,11 @@ class TorqueSwitch:
     @property
     def reason(self) -> str:
         """Return why what is followed ends with the torque."""
-        return "the controller is deactivated, the torque is off" if self.by_node else "the torque is off"
+        return (
+            "the controller is deactivated, the torque is off"
+            if self.by_node
+            else "the torque is off"
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -185,7 +185,11 @@ class Servo:
 
     def refuse(self, request: TrajectoryRequest, error: TrajectoryError) -> None:
         """End a request that cannot be followed; a goal's result says why, of a trajectory the log."""
-        code = ResultCode.OLD_HEADER_TIMESTAMP if isinstance(error, PastError) else ResultCode.INVALID_GOAL
+        code = (
+            ResultCode.OLD_HEADER_TIMESTAMP
+            if isinstance(error, PastError)
+            else ResultCode.INVALID_GOAL
+        )
         self.count_refusal(request.kind, error)
         request.end(State.ABORTED, code, str(error))
         if request.is_goal:
@@ -228,7 +232,11 @@ class Servo:
 
     def feed_back(self, request: TrajectoryRequest, tick: int) -> None:
         """Have the client of a goal learn how far it is, now and then."""
-        if request.on_feedback is not None and request.feedback is not None and tick % self._monitor_ticks == 0:
+        if (
+            request.on_feedback is not None
+            and request.feedback is not None
+            and tick % self._monitor_ticks == 0
+        ):
             self.post(partial(request.on_feedback, request.feedback))
 
     # The log.

@@ -290,8 +290,18 @@ class Powered(ServoState):
     def follow_stream(self, servo: Servo, points: SetPoints, source: str) -> ServoState:
         """Follow set-points, of the stream that is followed or of a new one, or stay."""
         stream = self.stream
-        if stream is None or stream.interface != points.interface or (stream.named != points.named).any():
-            stream = Stream(points.interface, points.named, servo.trajectory.limits, servo.period, servo.streaming)
+        if (
+            stream is None
+            or stream.interface != points.interface
+            or (stream.named != points.named).any()
+        ):
+            stream = Stream(
+                points.interface,
+                points.named,
+                servo.trajectory.limits,
+                servo.period,
+                servo.streaming,
+            )
             stream.pause = self.pause(servo.time)
         told = len(stream.notes)
         try:
@@ -301,7 +311,9 @@ class Powered(ServoState):
             return self
         if stream is not self.stream:
             self.leave(servo, "replaced by streamed set-points", wanted=True)
-            servo.note(f"stream begins at {servo.time:.3f} s: {points.interface} set-points from {source}")
+            servo.note(
+                f"stream begins at {servo.time:.3f} s: {points.interface} set-points from {source}"
+            )
         for text in list(stream.notes.values())[told:]:
             servo.complain(f"stream: {text}")
         return Streaming(stream)
@@ -364,7 +376,9 @@ class Following(Powered):
         match event:
             case Cancel(request) if request is self.request:
                 (begin, end, _) = servo.trajectory.halt(servo.tick)
-                times = f"from {begin * servo.period:.6g} s on, at rest at {end * servo.period:.6g} s"
+                times = (
+                    f"from {begin * servo.period:.6g} s on, at rest at {end * servo.period:.6g} s"
+                )
                 servo.cancel(request, f"cancelled; stopping {times}")
                 return Stopping()
             case GiveUp(reason, halt) if self.has_goal:

@@ -50,7 +50,9 @@ class LearnedMotion:
         """Return the path in words."""
         start = ", ".join(f"{angle:.4g}" for angle in self.start)
         speed = f"{1e3 * self.speed:.4g} mm/s"
-        return f"a path of {self.duration:.6g} s at {speed} from {start} rad (digest {self.identity})"
+        return (
+            f"a path of {self.duration:.6g} s at {speed} from {start} rad (digest {self.identity})"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +80,10 @@ class Correction:
                 f"a correction of shape {offsets.shape}; accepted: an offset for each joint and set-point"
             )
         rates = np.diff(offsets, axis=0, prepend=offsets[:1]) / self.period
-        for what, values, most, unit in (("offset", offsets, LARGEST, "rad"), ("change", rates, FASTEST, "rad/s")):
+        for what, values, most, unit in (
+            ("offset", offsets, LARGEST, "rad"),
+            ("change", rates, FASTEST, "rad/s"),
+        ):
             beyond = np.argwhere(~(np.abs(values) <= most))
             if len(beyond):
                 row, joint = beyond[0].tolist()
@@ -131,10 +136,17 @@ class PlayedCorrection:
 
         Each row takes the same operations, whatever the other ticks: nodes and loop have the same bits.
         """
-        row = np.clip(np.minimum(ticks, self.cut - 1) - self.begin, 0, len(self.correction.offsets) - 1)
+        row = np.clip(
+            np.minimum(ticks, self.cut - 1) - self.begin, 0, len(self.correction.offsets) - 1
+        )
         share = np.clip((row + 1.0) / self.fade, 0.0, 1.0)
         fading_out = np.clip((self.over - ticks) / self.fade, 0.0, 1.0)
-        weight = share * share * (3.0 - 2.0 * share) * (fading_out * fading_out * (3.0 - 2.0 * fading_out))
+        weight = (
+            share
+            * share
+            * (3.0 - 2.0 * share)
+            * (fading_out * fading_out * (3.0 - 2.0 * fading_out))
+        )
         weight = np.where(ticks < self.begin, 0.0, weight)
         return np.asarray(self.correction.offsets[row] * weight[:, None])
 
@@ -145,7 +157,10 @@ def cut_at(played: list[PlayedCorrection], now: int, begin: int) -> list[PlayedC
     One that had not begun by then is dropped; one that fades out already continues to do so.
     """
     return [
-        replace(one, cut=one.cut if one.cut <= now else min(one.begin + len(one.correction.offsets), begin))
+        replace(
+            one,
+            cut=one.cut if one.cut <= now else min(one.begin + len(one.correction.offsets), begin),
+        )
         for one in played
         if one.begin < now < one.over
     ]

@@ -14,10 +14,21 @@ from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory.correction import Correction, PlayedCorrection, cut_at
 from rx90_controller.trajectory.paths import JointLimits, check_time, connect, stop
 from rx90_controller.trajectory.points import TrajectoryPoints
-from rx90_controller.trajectory.spline import FollowedPath, Path, Spline, joined, merged, remainder, resting, smooth
+from rx90_controller.trajectory.spline import (
+    FollowedPath,
+    Path,
+    Spline,
+    joined,
+    merged,
+    remainder,
+    resting,
+    smooth,
+)
 from rx90_controller.trajectory.stream import POSITION, SetPoints, Stream, StreamOptions
 
-_ADVICE = ", or velocities_from_positions, where the points' velocities do not belong to their positions"
+_ADVICE = (
+    ", or velocities_from_positions, where the points' velocities do not belong to their positions"
+)
 _CORRECTION_SLACK = 1e-6  # rad, as planners have it
 _MAX_HALT_RATIO = 3  # a stop along the path may take so many times as long as one joint by joint
 
@@ -58,7 +69,10 @@ class TrajectoryGenerator:
         self.period = period
         self.revision = 0
         self.factor = 1.0
-        self._origin: tuple[int, int | None] = (0, None)  # of a fork: revision, and start of the waiting motion
+        self._origin: tuple[int, int | None] = (
+            0,
+            None,
+        )  # of a fork: revision, and start of the waiting motion
         self.reset(hold)
 
     def warm_up(self) -> None:
@@ -96,7 +110,9 @@ class TrajectoryGenerator:
         later = max(now - self._next.start, 0) if at_rest and self._next is not None else count
         if self._next is not None:
             self._next.delay(later)
-        self._played = [one.shifted(count if one.begin < now - count else later) for one in self._played]
+        self._played = [
+            one.shifted(count if one.begin < now - count else later) for one in self._played
+        ]
         self.revision += 1
 
     # What the set-points are.
@@ -125,7 +141,9 @@ class TrajectoryGenerator:
         if not self._played:
             return setpoints
         ticks = np.arange(tick, tick + count)
-        offsets = sum((one.at(ticks) for one in self._played), np.zeros((count, setpoints.shape[2])))
+        offsets = sum(
+            (one.at(ticks) for one in self._played), np.zeros((count, setpoints.shape[2]))
+        )
         return np.concatenate([setpoints, offsets[:, None]], axis=1)
 
     def moving(self, tick: int) -> bool:
@@ -190,7 +208,9 @@ class TrajectoryGenerator:
         if factor == self.factor:
             return
         self.factor = factor
-        self._played = cut_at(self._played, now, now)  # it belongs to the speed at which it was learned
+        self._played = cut_at(
+            self._played, now, now
+        )  # it belongs to the speed at which it was learned
         motion = self._effective(now)
         waiting = self._next
         if motion.runs(now) and not motion.fixed:
@@ -211,7 +231,11 @@ class TrajectoryGenerator:
     # New motions.
 
     def accept(
-        self, points: TrajectoryPoints, now: int, start: int | None, correction: Correction | None = None
+        self,
+        points: TrajectoryPoints,
+        now: int,
+        start: int | None,
+        correction: Correction | None = None,
     ) -> Schedule:
         """Take a trajectory; return when it runs.
 
@@ -256,7 +280,9 @@ class TrajectoryGenerator:
         begin, late, remaining = points_left(points, now, start, self.period)
         self._promote(now)
         if late > 0.0 and correction is not None:
-            raise TrajectoryError(f"a correction begins {late:.6g} s late; accepted: with its trajectory's first point")
+            raise TrajectoryError(
+                f"a correction begins {late:.6g} s late; accepted: with its trajectory's first point"
+            )
         if late == 0.0 and points.times[0] == 0.0 and not anywhere:
             reference = self._base(now).entry(begin)
             first = points.held_at(reference[0])
@@ -333,7 +359,9 @@ class TrajectoryGenerator:
             return None
         fork = copy.copy(self)
         fork._origin = (self.revision, None if self._next is None else self._next.start)
-        laws = [copy.copy(law) for law in self._current.laws]  # a fork must not change this generator's laws
+        laws = [
+            copy.copy(law) for law in self._current.laws
+        ]  # a fork must not change this generator's laws
         fork._current = replace(self._current, laws=laws)
         fork._next = None
         return fork
@@ -348,7 +376,9 @@ class TrajectoryGenerator:
         if fork._next is not None:
             begin = fork._next.start
             fork._next.delay(late)
-            fork._played = [one.shifted(late) if one.begin == begin else one for one in fork._played]
+            fork._played = [
+                one.shifted(late) if one.begin == begin else one for one in fork._played
+            ]
         fork._current.announced = self._current.announced
         self._current = fork._current
         self._next = fork._next
@@ -389,7 +419,13 @@ class TrajectoryGenerator:
         return base.at(begin)[1] if base.runs(begin) else self.factor
 
     def _take(
-        self, points: TrajectoryPoints, now: int, begin: int, correction: Correction | None, *, follow: bool
+        self,
+        points: TrajectoryPoints,
+        now: int,
+        begin: int,
+        correction: Correction | None,
+        *,
+        follow: bool,
     ) -> Schedule:
         """Check a trajectory and run it; joints that it does not name hold, or follow the running one."""
         limits = self.limits
@@ -404,17 +440,23 @@ class TrajectoryGenerator:
         allowed = np.where(outside > 0.0, outside + limits.start_tolerance, 0.0)
         points = points.held_at(reference[0])
         limits.check_points(points, allowed)
-        held = np.where(points.named, reference, [reference[0], 0.0 * reference[1], 0.0 * reference[2]])
+        held = np.where(
+            points.named, reference, [reference[0], 0.0 * reference[1], 0.0 * reference[2]]
+        )
         if len(points.times) == 1 and points.times[0] > 0.0:
             check_time(points, held, limits, self.period, allowed)
         spline = connect(points, held, limits)
         last = spline.duration
         if points.velocity is not None and points.velocity[-1].any():
-            spline = joined(spline, last, stop(spline.final, points.velocity[-1], limits.acceleration))
+            spline = joined(
+                spline, last, stop(spline.final, points.velocity[-1], limits.acceleration)
+            )
         if partial and follow:
             spline = merged(spline, remainder(base.path.spline, base.at(begin)[0]), ~points.named)
         elif partial:
-            spline = merged(spline, stop(reference[0], reference[1], limits.acceleration), ~points.named)
+            spline = merged(
+                spline, stop(reference[0], reference[1], limits.acceleration), ~points.named
+            )
         limits.check_start(reference, spline.sample(np.zeros(1))[0, 1], self.period, points.first)
         try:
             limits.check_motion(spline, self.period, points, allowed)
@@ -424,7 +466,9 @@ class TrajectoryGenerator:
             raise TrajectoryError(f"{error}{_ADVICE}") from None
         if correction is not None:
             self._check_correction(correction, spline)
-        schedule = self._follow(base, Path(spline, 0.0, last), now, begin, self.factor if stands_still else rate)
+        schedule = self._follow(
+            base, Path(spline, 0.0, last), now, begin, self.factor if stands_still else rate
+        )
         if correction is not None:
             self._played = [*self._played, PlayedCorrection.started(correction, begin)]
         return schedule
@@ -437,11 +481,16 @@ class TrajectoryGenerator:
                 "for each set-point"
             )
         if self.factor != 1.0:
-            raise TrajectoryError(f"speed scaling {self.factor:g} with a correction; accepted: 1, as it was learned")
+            raise TrajectoryError(
+                f"speed scaling {self.factor:g} with a correction; accepted: 1, as it was learned"
+            )
         times = np.arange(len(correction.offsets), dtype=np.float64) * self.period
         position = spline.sample(times)[:, 0]
         offsets = correction.offsets
-        beyond = self.limits.outside(position + offsets) > self.limits.outside(position) + _CORRECTION_SLACK
+        beyond = (
+            self.limits.outside(position + offsets)
+            > self.limits.outside(position) + _CORRECTION_SLACK
+        )
         if beyond.any():
             row, joint = np.argwhere(beyond)[0].tolist()
             raise TrajectoryError(
@@ -449,7 +498,9 @@ class TrajectoryGenerator:
                 f"rad at {row * self.period:.3f} s; accepted: within the joint's limits"
             )
 
-    def _follow(self, base: FollowedPath, path: Path, now: int, begin: int, rate: float | None) -> Schedule:
+    def _follow(
+        self, base: FollowedPath, path: Path, now: int, begin: int, rate: float | None
+    ) -> Schedule:
         """Follow a path from a tick on, after `base`, from a rate on; None for full speed whatever the scaling is."""
         self.revision += 1
         self._played = cut_at(self._played, now, begin)

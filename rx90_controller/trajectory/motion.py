@@ -18,7 +18,9 @@ _QUINTIC_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)  # times distance over time s
 _RAMP_PEAK_ACCELERATION = 1.5  # of a quintic from rest to a velocity, times the mean acceleration
 _KNOT_ANGLE = 0.55  # of the fastest sine between knots, rad: quintics between exact knots miss it by 1e-6 of its size
 _LONGEST_KNOT_PERIOD = 0.02  # s, for the fades
-_FADE = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])  # from 0 to 1, with neither slope nor bend at both ends
+_FADE = Polynomial(
+    [0.0, 0.0, 0.0, 10.0, -15.0, 6.0]
+)  # from 0 to 1, with neither slope nor bend at both ends
 
 
 class Motion:
@@ -52,7 +54,9 @@ class Motion:
         if not distance.any():
             return
         by_speed = float(np.max(distance / np.asarray(speed))) * _QUINTIC_PEAK_SPEED
-        by_acceleration = math.sqrt(float(distance.max()) * _QUINTIC_PEAK_ACCELERATION / acceleration)
+        by_acceleration = math.sqrt(
+            float(distance.max()) * _QUINTIC_PEAK_ACCELERATION / acceleration
+        )
         self._add(_on_tick(max(by_speed, by_acceleration)), goal)
 
     def sweep(self, direction: Array, speed: float, plateau: float, acceleration: float) -> None:
@@ -66,7 +70,9 @@ class Motion:
         self._add(_on_tick(plateau), self.pose + _on_tick(plateau) * velocity, velocity)
         self._add(ramp, self.pose + 0.5 * ramp * velocity)
 
-    def oscillate(self, direction: Array, amplitudes: Sequence[float], tones: Sequence[float], duration: float) -> None:
+    def oscillate(
+        self, direction: Array, amplitudes: Sequence[float], tones: Sequence[float], duration: float
+    ) -> None:
         """Oscillate about the pose along `direction` with a sum of sines, faded in and out over a quarter each.
 
         Args:
@@ -77,7 +83,10 @@ class Motion:
         """
         omega = 2.0 * np.pi * np.asarray(tones)
         amplitude = np.asarray(amplitudes)
-        period = math.floor(1e3 * min(_LONGEST_KNOT_PERIOD, _KNOT_ANGLE / (2.0 * math.pi * max(tones)))) / 1e3
+        period = (
+            math.floor(1e3 * min(_LONGEST_KNOT_PERIOD, _KNOT_ANGLE / (2.0 * math.pi * max(tones))))
+            / 1e3
+        )
         time: Array = np.arange(1, math.ceil(duration / period) + 1, dtype=np.float64) * period
         phase = np.outer(time, omega)
         whole = len(time) * period
@@ -104,7 +113,9 @@ class Motion:
             velocity: rad/s, shape (k, n).
             acceleration: rad/s², shape (k, n).
         """
-        self._knots += zip((self.duration + time).tolist(), position, velocity, acceleration, strict=True)
+        self._knots += zip(
+            (self.duration + time).tolist(), position, velocity, acceleration, strict=True
+        )
         self.pose = position[-1].copy()
         self.duration = self._knots[-1][0]
         self._knots[-1] = (self.duration, self.pose, self._rest, self._rest)
@@ -114,12 +125,16 @@ class Motion:
         knots, *vectors = zip(*self._knots, strict=True)
         # Messages contain whole nanoseconds; the closed loop without ROS gets exactly the same times as the nodes.
         times = [round(time * NANOSECONDS) / NANOSECONDS for time in knots]
-        return TrajectoryPoints.create(names, names, times, *(np.array(each).tolist() for each in vectors))
+        return TrajectoryPoints.create(
+            names, names, times, *(np.array(each).tolist() for each in vectors)
+        )
 
     def _add(self, duration: float, pose: Array, velocity: Array | None = None) -> None:
         self.duration += duration
         self.pose = pose
-        self._knots.append((self.duration, pose, self._rest if velocity is None else velocity, self._rest))
+        self._knots.append(
+            (self.duration, pose, self._rest if velocity is None else velocity, self._rest)
+        )
 
 
 def _on_tick(duration: float) -> float:

@@ -23,7 +23,9 @@ from rx90_controller.trajectory.spline import Spline, interpolate, resting, smoo
 
 # A spline that should run exactly at a limit, or end on it, may miss it by rounding.
 _SLACK = 1e-9
-_POSITION_SLACK = 1e-6  # rad; planners clip to limits that were printed, or were held as angles of their own
+_POSITION_SLACK = (
+    1e-6  # rad; planners clip to limits that were printed, or were held as angles of their own
+)
 # Times in messages are whole nanoseconds, which changes an acceleration over some milliseconds by some millionths.
 _ACCELERATION_SLACK = 1e-5  # of the limit
 # The largest acceleration lies between two set-points, and may be a little more than the largest set-point.
@@ -73,7 +75,11 @@ class JointLimits:
     start_tolerance: float
 
     def __post_init__(self) -> None:
-        if np.any(self.lower >= self.upper) or np.any(self.velocity <= 0) or np.any(self.acceleration <= 0):
+        if (
+            np.any(self.lower >= self.upper)
+            or np.any(self.velocity <= 0)
+            or np.any(self.acceleration <= 0)
+        ):
             raise ConfigError(
                 f"joint limits {self.lower.tolist()}, {self.upper.tolist()}, {self.velocity.tolist()}, "
                 f"{self.acceleration.tolist()}; accepted: lower < upper, velocity > 0, acceleration > 0"
@@ -117,7 +123,9 @@ class JointLimits:
             TrajectoryError: naming the joint whose velocity would jump, both velocities and the accepted range.
         """
         allowed = self.acceleration * period
-        found = _Quantity("", "", held[1] - allowed, held[1] + allowed).first_outside(velocity[None])
+        found = _Quantity("", "", held[1] - allowed, held[1] + allowed).first_outside(
+            velocity[None]
+        )
         if found is not None:
             joint = found[1]
             raise TrajectoryError(
@@ -134,7 +142,13 @@ class JointLimits:
 
     def too_early(self, point: int, way: Array, given: float, needed: float) -> TrajectoryError:
         """Return the refusal of a point that is farther away, by `way`, rad, shape (j,), than its time allows, s."""
-        joint = int(np.argmax(np.maximum(2.0 * np.sqrt(np.abs(way) / self.acceleration), np.abs(way) / self.velocity)))
+        joint = int(
+            np.argmax(
+                np.maximum(
+                    2.0 * np.sqrt(np.abs(way) / self.acceleration), np.abs(way) / self.velocity
+                )
+            )
+        )
         return TrajectoryError(
             f"point {point}: {self.names[joint]} cannot go {way[joint]:.6g} rad in {given:.6g} s within its limits, "
             f"{self.velocity[joint]:.6g} rad/s and {self.acceleration[joint]:.6g} rad/s^2; accepted: from "
@@ -150,7 +164,9 @@ class JointLimits:
             TrajectoryError: naming point, joint, value and limit of the first one outside.
         """
         tables = (points.position, points.velocity, points.acceleration)
-        for quantity, table in zip(self._quantities(self.lower - allowed, self.upper + allowed), tables, strict=True):
+        for quantity, table in zip(
+            self._quantities(self.lower - allowed, self.upper + allowed), tables, strict=True
+        ):
             if table is not None and (found := quantity.first_outside(table)) is not None:
                 row, joint = found
                 raise TrajectoryError(
@@ -158,7 +174,9 @@ class JointLimits:
                     f"{quantity.unit}; accepted: {quantity.accepted(row, joint)}"
                 )
 
-    def check_motion(self, spline: Spline, period: float, points: TrajectoryPoints, allowed: Array) -> None:
+    def check_motion(
+        self, spline: Spline, period: float, points: TrajectoryPoints, allowed: Array
+    ) -> None:
         """Check a motion: its set-points, and the accelerations between them.
 
         The accelerations hold at every time of an accepted motion, so that it can be travelled at every lower speed,
@@ -181,10 +199,16 @@ class JointLimits:
         last = int(np.ceil(spline.duration / period - 1e-6))
         for first in range(0, last, _CHECKED_AT_ONCE):
             # The blocks share a set-point, so that the step from one to the next is checked, too.
-            times = np.asarray(np.arange(first, min(first + _CHECKED_AT_ONCE, last) + 1) * period, dtype=np.float64)
+            times = np.asarray(
+                np.arange(first, min(first + _CHECKED_AT_ONCE, last) + 1) * period, dtype=np.float64
+            )
             setpoints = spline.sample(times)
-            reach = np.minimum.accumulate(np.vstack([allowed, self.outside(setpoints[:, 0])]), axis=0)
-            for quantity, values, at, point in self._of_setpoints(setpoints, times, points.times, reach[:-1]):
+            reach = np.minimum.accumulate(
+                np.vstack([allowed, self.outside(setpoints[:, 0])]), axis=0
+            )
+            for quantity, values, at, point in self._of_setpoints(
+                setpoints, times, points.times, reach[:-1]
+            ):
                 found = quantity.first_outside(values)
                 if found is not None:
                     row, joint = found
@@ -200,7 +224,10 @@ class JointLimits:
         """Return whether bounds of the spline, and so its set-points and the steps between them, are within limits."""
         quantities = self._quantities(self.lower, self.upper)
         extremes = np.stack(spline.bounds(), axis=1)
-        return all(each.first_outside(pair) is None for each, pair in zip(quantities, extremes, strict=True))
+        return all(
+            each.first_outside(pair) is None
+            for each, pair in zip(quantities, extremes, strict=True)
+        )
 
     def _of_setpoints(
         self, setpoints: Array, times: Array, knots: Array, reach: Array
@@ -241,14 +268,18 @@ class JointLimits:
             extremes = (-root / square, -6.0 * c[:, 3] / root)
         for at in (np.zeros_like(half), span + np.zeros_like(half), *extremes):
             inside = np.where((at > 0.0) & (at < span), at, np.where(at == span, at, 0.0))
-            value = 2.0 * c[:, 2] + inside * (6.0 * c[:, 3] + inside * (12.0 * c[:, 4] + inside * 20.0 * c[:, 5]))
+            value = 2.0 * c[:, 2] + inside * (
+                6.0 * c[:, 3] + inside * (12.0 * c[:, 4] + inside * 20.0 * c[:, 5])
+            )
             beyond = np.argwhere(~(np.abs(value) <= (1.0 + _BETWEEN_SLACK) * self.acceleration))
             if len(beyond):
                 row, joint = beyond[0]
                 time = spline.times[row] + inside[row, joint]
                 most = self.acceleration[joint]
                 middle = 0.5 * (spline.times[row] + spline.times[row + 1])
-                point = points.first + min(int(np.searchsorted(points.times, middle)), len(points.times) - 1)
+                point = points.first + min(
+                    int(np.searchsorted(points.times, middle)), len(points.times) - 1
+                )
                 raise TrajectoryError(
                     f"point {point}: {self.names[joint]} gets an acceleration of {value[row, joint]:.6g} rad/s^2 on "
                     f"the way there, between two set-points, at {time:.6g} s; accepted: [{-most:.6g}, {most:.6g}]"
@@ -280,13 +311,17 @@ def connect(points: TrajectoryPoints, held: Array, limits: JointLimits) -> Splin
     if points.degrees is not None:
         degrees = points.degrees if later else points.degrees[1:]
         velocity = np.vstack([held[1] if degrees[0] == 1 else velocity[0], velocity[1:]])
-        return _by_degrees(times, (position, velocity, acceleration), degrees, limits, points.first - later)
+        return _by_degrees(
+            times, (position, velocity, acceleration), degrees, limits, points.first - later
+        )
     if points.smooth:
         return smooth(times, position, velocity)
     return interpolate(times, position, velocity, acceleration)
 
 
-def check_time(points: TrajectoryPoints, held: Array, limits: JointLimits, period: float, allowed: Array) -> None:
+def check_time(
+    points: TrajectoryPoints, held: Array, limits: JointLimits, period: float, allowed: Array
+) -> None:
     """Check that the time of a single point that is later than the start allows the way to it.
 
     The arguments are those of `connect` and `JointLimits.check_motion`, which say what else is wrong.
@@ -323,7 +358,11 @@ def check_time(points: TrajectoryPoints, held: Array, limits: JointLimits, perio
 
 
 def _by_degrees(
-    times: Array, tables: tuple[Array, Array, Array | None], degrees: NDArray[np.intp], limits: JointLimits, first: int
+    times: Array,
+    tables: tuple[Array, Array, Array | None],
+    degrees: NDArray[np.intp],
+    limits: JointLimits,
+    first: int,
 ) -> Spline:
     """Return the spline through points, the ways between which have the given degrees, shape (n - 1,).
 
@@ -352,7 +391,12 @@ def _by_degrees(
 
 
 def straight(
-    times: Array, position: Array, velocity: Array, limits: JointLimits, first: int = 0, end_velocity: Array | float = 0
+    times: Array,
+    position: Array,
+    velocity: Array,
+    limits: JointLimits,
+    first: int = 0,
+    end_velocity: Array | float = 0,
 ) -> Spline:
     """Return straight lines through points, with ramps of the velocity.
 
@@ -404,15 +448,17 @@ def straight(
     knots = np.column_stack([start, start + ramp]).ravel()[kept]
     bend = np.zeros((2 * len(start), position.shape[1]))
     bend[::2] = (after - before) / np.where(ramp > 0.0, 2.0 * ramp, 1.0)[:, None]
-    ways = np.stack([(before + after) * (ramp / 2.0)[:, None], after * cruise[:, None]], axis=1).reshape(
-        -1, bend.shape[1]
-    )[kept]
+    ways = np.stack(
+        [(before + after) * (ramp / 2.0)[:, None], after * cruise[:, None]], axis=1
+    ).reshape(-1, bend.shape[1])[kept]
     coefficients = np.zeros((len(knots), 6, bend.shape[1]))
     coefficients[:, 0] = np.cumsum(np.concatenate([position[:1], ways[:-1]]), axis=0)
     coefficients[:, 1] = np.stack([before, after], axis=1).reshape(bend.shape)[kept]
     coefficients[:, 2] = bend[kept]
     blend_error = float((half[:, None] * np.abs(change)).max(initial=0.0)) / 4.0
-    return Spline(np.append(knots, start[-1] + ramp[-1]), coefficients, position[-1].copy(), blend_error)
+    return Spline(
+        np.append(knots, start[-1] + ramp[-1]), coefficients, position[-1].copy(), blend_error
+    )
 
 
 def _one_end(point: int, span: float, way: Array, velocity: Array, limits: JointLimits) -> float:
@@ -426,7 +472,9 @@ def _one_end(point: int, span: float, way: Array, velocity: Array, limits: Joint
     return float((span - np.sqrt(span * span - missing)).max())
 
 
-def _both_ends(point: int, span: float, way: Array, ends: tuple[Array, Array], limits: JointLimits) -> float:
+def _both_ends(
+    point: int, span: float, way: Array, ends: tuple[Array, Array], limits: JointLimits
+) -> float:
     """Return the duration of the ramps at both ends of a single line, s, from and to the velocities there.
 
     way = (v0 + v) tau/2 + v (span - 2 tau) + (v + v1) tau/2, with |v - v0| <= a tau and |v - v1| <= a tau; each
@@ -444,11 +492,15 @@ def _both_ends(point: int, span: float, way: Array, ends: tuple[Array, Array], l
             root = np.sqrt(square)
             least = max(least, float((middle - root).max()))
             most = min(most, float((middle + root).min()))
-            _refuse_early(point, (middle - root > most) | (middle + root < least), span, way, limits)
+            _refuse_early(
+                point, (middle - root > most) | (middle + root < least), span, way, limits
+            )
     return least
 
 
-def _refuse_early(point: int, early: NDArray[np.bool_], span: float, way: Array, limits: JointLimits) -> None:
+def _refuse_early(
+    point: int, early: NDArray[np.bool_], span: float, way: Array, limits: JointLimits
+) -> None:
     if early.any():
         joint = int(np.argmax(early))
         raise TrajectoryError(

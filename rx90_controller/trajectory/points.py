@@ -106,11 +106,20 @@ class TrajectoryPoints:
         for what, rows in given:
             if len(rows) not in (0, len(times)):
                 accepted = f"of {len(times)}, as many as there are times"
-                raise TrajectoryError(f"{what} of {counted(len(rows), 'point')}; accepted: {accepted}")
-        q, v, a = (joint_table(what, rows, columns, robot_joints, whole=what == "positions") for what, rows in given)
+                raise TrajectoryError(
+                    f"{what} of {counted(len(rows), 'point')}; accepted: {accepted}"
+                )
+        q, v, a = (
+            joint_table(what, rows, columns, robot_joints, whole=what == "positions")
+            for what, rows in given
+        )
         if q is None:
-            raise TrajectoryError("point 0: no positions; accepted: positions of all named joints in every point")
-        degrees = _degrees(*(rows if len(rows) else [[]] * len(times) for rows in (velocity, acceleration)))
+            raise TrajectoryError(
+                "point 0: no positions; accepted: positions of all named joints in every point"
+            )
+        degrees = _degrees(
+            *(rows if len(rows) else [[]] * len(times) for rows in (velocity, acceleration))
+        )
         if v is not None:
             v[-1, np.abs(v[-1]) <= _REST_VELOCITY] = 0.0
             fastest = int(np.argmax(np.abs(v[-1])))
@@ -120,7 +129,12 @@ class TrajectoryPoints:
                     f"{_REST_VELOCITY:.3g} rad/s, the arm rests at the last point"
                 )
         return cls(
-            np.array(times, dtype=np.float64), q, v, a, np.isin(np.arange(len(robot_joints)), columns), degrees=degrees
+            np.array(times, dtype=np.float64),
+            q,
+            v,
+            a,
+            np.isin(np.arange(len(robot_joints)), columns),
+            degrees=degrees,
         )
 
     def smoothed(self) -> TrajectoryPoints:
@@ -158,7 +172,9 @@ class TrajectoryPoints:
         return replace(self, position=np.where(self.named, self.position, position))
 
 
-def check_joints(robot_joints: Sequence[str], joint_names: Sequence[str], *, partial: bool = False) -> None:
+def check_joints(
+    robot_joints: Sequence[str], joint_names: Sequence[str], *, partial: bool = False
+) -> None:
     """Check that names are those of the robot's joints, each once, in any order; all of them unless `partial`.
 
     Raises:
@@ -166,12 +182,18 @@ def check_joints(robot_joints: Sequence[str], joint_names: Sequence[str], *, par
     """
     for name in joint_names:
         if name not in robot_joints:
-            raise TrajectoryError(f"unknown joint {quoted(name)}; accepted: {', '.join(robot_joints)}")
+            raise TrajectoryError(
+                f"unknown joint {quoted(name)}; accepted: {', '.join(robot_joints)}"
+            )
         if joint_names.count(name) > 1:
-            raise TrajectoryError(f"joint {quoted(name)} stands {joint_names.count(name)} times; accepted: once")
+            raise TrajectoryError(
+                f"joint {quoted(name)} stands {joint_names.count(name)} times; accepted: once"
+            )
     for name in robot_joints:
         if name not in joint_names and not partial:
-            raise TrajectoryError(f"joint {quoted(name)} is missing; accepted: all of {', '.join(robot_joints)}")
+            raise TrajectoryError(
+                f"joint {quoted(name)} is missing; accepted: all of {', '.join(robot_joints)}"
+            )
     if not joint_names:
         raise TrajectoryError(f"no joints; accepted: {', '.join(robot_joints)}")
 
@@ -181,14 +203,18 @@ def _check_times(times: Sequence[float]) -> None:
         raise TrajectoryError("no points; accepted: at least one")
     for i, time in enumerate(times):
         if not time <= LONGEST:
-            raise TrajectoryError(f"point {i}: time_from_start {time:g} s; accepted: a number up to {LONGEST:g} s")
+            raise TrajectoryError(
+                f"point {i}: time_from_start {time:g} s; accepted: a number up to {LONGEST:g} s"
+            )
         if i > 0 and not time - times[i - 1] > _SHORTEST_STEP:
             raise TrajectoryError(
                 f"point {i}: time_from_start {time:g} s after {times[i - 1]:g} s; accepted: increasing times, a "
                 "nanosecond or more apart"
             )
     if times[0] < 0 or 0.0 < times[0] < _SHORTEST_STEP:
-        raise TrajectoryError(f"point 0: time_from_start {times[0]:g} s; accepted: 0, or a nanosecond and more")
+        raise TrajectoryError(
+            f"point 0: time_from_start {times[0]:g} s; accepted: 0, or a nanosecond and more"
+        )
 
 
 def joint_table(
@@ -224,16 +250,22 @@ def joint_table(
         i, k = np.argwhere(~np.isfinite(table[:, columns]))[0]
         value = table[i, columns[k]]
         name = robot_joints[columns[k]]
-        raise TrajectoryError(f"{where.format(i)}{what} of {name}: {value}; accepted: a finite number")
+        raise TrajectoryError(
+            f"{where.format(i)}{what} of {name}: {value}; accepted: a finite number"
+        )
     return table
 
 
-def _degrees(velocity: Sequence[Sequence[float]], acceleration: Sequence[Sequence[float]]) -> NDArray[np.intp] | None:
+def _degrees(
+    velocity: Sequence[Sequence[float]], acceleration: Sequence[Sequence[float]]
+) -> NDArray[np.intp] | None:
     """Return the degrees of the ways to n points from their given values, shape (n,); None if all points are alike."""
     given = np.array([[len(row) > 0 for row in rows] for rows in (velocity, acceleration)])
     lacking = np.flatnonzero(given[1] & ~given[0])
     if lacking.size:
-        raise TrajectoryError(f"point {lacking[0]}: accelerations without velocities; accepted: velocities too")
+        raise TrajectoryError(
+            f"point {lacking[0]}: accelerations without velocities; accepted: velocities too"
+        )
     if (given == given[:, :1]).all():
         return None
     # The way to the first point comes from the set-point, which has all.
@@ -247,7 +279,8 @@ def _last_is_repeated(
     if len(times) < 2 or not -_SHORTEST_STEP <= times[-1] - times[-2] <= _REPEATED_TIME:
         return False
     return all(
-        len(rows) == 0 or (len(rows[-1]) == len(rows[-2]) and np.allclose(rows[-1], rows[-2], rtol=0.0, atol=most))
+        len(rows) == 0
+        or (len(rows[-1]) == len(rows[-2]) and np.allclose(rows[-1], rows[-2], rtol=0.0, atol=most))
         for rows, most in ((position, _REPEATED_POSITION), (velocity, _REPEATED_VELOCITY))
     )
 
@@ -282,7 +315,9 @@ def points_from_message(
     """
     for i, point in enumerate(message.points):
         if len(point.effort) > 0:
-            raise TrajectoryError(f"point {i}: carries effort; accepted: positions, velocities, accelerations")
+            raise TrajectoryError(
+                f"point {i}: carries effort; accepted: positions, velocities, accelerations"
+            )
     return TrajectoryPoints.create(
         robot_joints,
         message.joint_names,
@@ -307,7 +342,9 @@ def message_content(joint_names: Sequence[str], points: TrajectoryPoints) -> dic
         # A value that a point carries counts where the way on one of its sides has the degree for it.
         around = np.maximum(points.degrees, np.append(points.degrees[1:], 1))
         for rows, least in zip(columns[1:], (3, 5), strict=True):
-            rows[:] = [row if degree >= least else [] for row, degree in zip(rows, around, strict=True)]
+            rows[:] = [
+                row if degree >= least else [] for row, degree in zip(rows, around, strict=True)
+            ]
     times = [divmod(round(float(time) * NANOSECONDS), NANOSECONDS) for time in points.times]
     return {
         "joint_names": list(joint_names),
@@ -318,7 +355,9 @@ def message_content(joint_names: Sequence[str], points: TrajectoryPoints) -> dic
                 "accelerations": acceleration,
                 "time_from_start": {"sec": sec, "nanosec": nanosec},
             }
-            for (sec, nanosec), position, velocity, acceleration in zip(times, *columns, strict=True)
+            for (sec, nanosec), position, velocity, acceleration in zip(
+                times, *columns, strict=True
+            )
         ],
     }
 

@@ -26,7 +26,11 @@ from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.generator import PastError, Schedule, TrajectoryGenerator
 from rx90_controller.trajectory.points import TrajectoryPoints, check_joints, points_from_message
 
-_QUANTITIES = (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s^2"))  # the rows of tolerances
+_QUANTITIES = (
+    ("position", "rad"),
+    ("velocity", "rad/s"),
+    ("acceleration", "rad/s^2"),
+)  # the rows of tolerances
 _ERASE = 1.2e-7  # float's epsilon: how near to -1 a tolerance erases the default
 # points, s: of a trajectory that can be joined between two ticks
 _SHORT_POINTS = 20
@@ -57,7 +61,8 @@ class GoalOptions(Model):
     """
 
     allow_partial_joints_goal: Annotated[
-        bool, Field(description="Whether a trajectory may name some of the joints; the others hold.")
+        bool,
+        Field(description="Whether a trajectory may name some of the joints; the others hold."),
     ] = False
     allow_nonzero_velocity_at_trajectory_end: Annotated[
         bool, Field(description="Whether the last point may have a velocity; then the arm brakes.")
@@ -87,9 +92,10 @@ class JointConstraints(Model):
     trajectory: Annotated[
         float, quantity("rad", "How far <joint> may be off the path; 0: any.", ge=0.0, le=_LARGEST)
     ] = 0.0
-    goal: Annotated[float, quantity("rad", "How far <joint> may be off at the goal; 0: any.", ge=0.0, le=_LARGEST)] = (
-        0.0
-    )
+    goal: Annotated[
+        float,
+        quantity("rad", "How far <joint> may be off at the goal; 0: any.", ge=0.0, le=_LARGEST),
+    ] = 0.0
 
 
 class Constraints(Model):
@@ -100,7 +106,12 @@ class Constraints(Model):
 
     goal_time: Annotated[
         float,
-        quantity("s", "How long after its end a motion may take to be at its goal; 0: for ever.", ge=0.0, le=_LARGEST),
+        quantity(
+            "s",
+            "How long after its end a motion may take to be at its goal; 0: for ever.",
+            ge=0.0,
+            le=_LARGEST,
+        ),
     ] = 0.0
     stopped_velocity_tolerance: Annotated[
         float,
@@ -135,7 +146,9 @@ class GoalTolerances:
     goal_time: float
 
     @classmethod
-    def of_parameters(cls, names: Sequence[str], constraints: Constraints | None = None) -> GoalTolerances:
+    def of_parameters(
+        cls, names: Sequence[str], constraints: Constraints | None = None
+    ) -> GoalTolerances:
         """Return the tolerances of the node's parameters, by default those that it has if none are given."""
         constraints = constraints or Constraints()
         joints = [constraints.joints.get(name, JointConstraints()) for name in names]
@@ -165,17 +178,24 @@ class GoalTolerances:
             TrajectoryError: for an unknown joint, and another negative number.
         """
         tables = []
-        for what, given, defaults in (("path_tolerance", path, self.path), ("goal_tolerance", goal, self.goal)):
+        for what, given, defaults in (
+            ("path_tolerance", path, self.path),
+            ("goal_tolerance", goal, self.goal),
+        ):
             table = defaults.copy()
             for tolerance in given:
                 name = str(tolerance.name)
                 if name not in self.names:
                     accepted = ", ".join(self.names)
-                    raise TrajectoryError(f"{what}: joint {quoted(name)} is unknown; accepted: {accepted}")
+                    raise TrajectoryError(
+                        f"{what}: joint {quoted(name)} is unknown; accepted: {accepted}"
+                    )
                 joint = self.names.index(name)
                 for row, (field, unit) in enumerate(_QUANTITIES):
                     value = float(getattr(tolerance, field))
-                    table[row, joint] = _resolved(f"{what}: {field} of {name}", unit, value, defaults[row, joint])
+                    table[row, joint] = _resolved(
+                        f"{what}: {field} of {name}", unit, value, defaults[row, joint]
+                    )
             tables.append(table)
         most = _resolved("goal_time_tolerance", "s", goal_time, self.goal_time)
         return GoalTolerances(self.names, tables[0], tables[1], most)
@@ -205,7 +225,9 @@ def _resolved(what: str, unit: str, value: float, default: float) -> float:
     if abs(value + 1.0) < _ERASE:
         return math.inf
     if value < 0.0:
-        raise TrajectoryError(f"{what} is {value:g} {unit}; accepted: a number > 0, 0 for the default, -1 for none")
+        raise TrajectoryError(
+            f"{what} is {value:g} {unit}; accepted: a number > 0, 0 for the default, -1 for none"
+        )
     return default
 
 
@@ -285,7 +307,9 @@ class TrajectoryRequest:
     @property
     def replaces(self) -> str:
         """Return why what it replaces ends."""
-        return "pre-empted by a new goal" if self.is_goal else "replaced by a trajectory on the topic"
+        return (
+            "pre-empted by a new goal" if self.is_goal else "replaced by a trajectory on the topic"
+        )
 
     @property
     def watched(self) -> bool:
@@ -296,7 +320,9 @@ class TrajectoryRequest:
     def long(self) -> bool:
         """Return whether to check it against the limits may take longer than a tick."""
         points = self.points
-        return points is not None and (len(points.times) > _SHORT_POINTS or bool(points.times[-1] > _SHORT_S))
+        return points is not None and (
+            len(points.times) > _SHORT_POINTS or bool(points.times[-1] > _SHORT_S)
+        )
 
     def enter(self, generator: TrajectoryGenerator, now: int) -> Schedule:
         """Let a generator follow it, or stop; `now` is the first tick that may still be changed.
@@ -313,7 +339,9 @@ class TrajectoryRequest:
             return generator.join(self.points, now, self.start, self.correction, anywhere=anywhere)
         return generator.accept(self.points, now, self.start, self.correction)
 
-    def step(self, tick: int, desired: Array, actual: Array, trajectory: TrajectoryGenerator) -> None:
+    def step(
+        self, tick: int, desired: Array, actual: Array, trajectory: TrajectoryGenerator
+    ) -> None:
         """Compare the set-point of a position tick with the measured state; end the request where that decides it.
 
         Along the path its tolerances hold, from the first sample to the last one before the last point. From the last
@@ -339,8 +367,14 @@ class TrajectoryRequest:
         reached = time >= last
         now = f"{tick * period:.6g} s"
         where = f"at {now}, {time:.6g} s on the trajectory"
-        if (first or not reached) and (worst := tolerances.worst(error, tolerances.path)) is not None:
-            self.end(State.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED, f"{worst} along the path, {where}")
+        if (first or not reached) and (
+            worst := tolerances.worst(error, tolerances.path)
+        ) is not None:
+            self.end(
+                State.ABORTED,
+                ResultCode.PATH_TOLERANCE_VIOLATED,
+                f"{worst} along the path, {where}",
+            )
         elif reached:
             self._settling = tick if self._settling is None else self._settling
             worst = tolerances.worst(error, tolerances.goal)
@@ -349,7 +383,11 @@ class TrajectoryRequest:
             if worst is None:
                 self.end(State.SUCCEEDED, ResultCode.SUCCESSFUL, f"goal reached at {now}, {after}")
             elif late > tolerances.goal_time:
-                self.end(State.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED, f"{worst} at the goal, {after}, {where}")
+                self.end(
+                    State.ABORTED,
+                    ResultCode.GOAL_TOLERANCE_VIOLATED,
+                    f"{worst} at the goal, {after}, {where}",
+                )
 
     def end(self, state: State, code: ResultCode, reason: str) -> None:
         """End it, once."""
@@ -393,13 +431,19 @@ def check_request(
     if goal is not None or len(message.points) > 0:
         moving_end = options.allow_nonzero_velocity_at_trajectory_end
         partial = options.allow_partial_joints_goal
-        points = points_from_message(defaults.names, message, partial=partial, moving_end=moving_end)
+        points = points_from_message(
+            defaults.names, message, partial=partial, moving_end=moving_end
+        )
         points = points.smoothed() if options.velocities_from_positions else points
     elif message.joint_names:
         check_joints(defaults.names, list(message.joint_names))
     stamp_ns = message_time_ns(message.header.stamp)
-    start = int(-(-stamp_ns * position_hz // NANOSECONDS)) if stamp_ns else None  # the first tick not before it
-    return TrajectoryRequest(message, points, start, tolerances, options, is_goal=goal is not None, remark=remark)
+    start = (
+        int(-(-stamp_ns * position_hz // NANOSECONDS)) if stamp_ns else None
+    )  # the first tick not before it
+    return TrajectoryRequest(
+        message, points, start, tolerances, options, is_goal=goal is not None, remark=remark
+    )
 
 
 class JoinedAhead:
@@ -417,7 +461,9 @@ class JoinedAhead:
         attempt: from 0 on.
     """
 
-    def __init__(self, request: TrajectoryRequest, generator: TrajectoryGenerator, now: int, attempt: int = 0) -> None:
+    def __init__(
+        self, request: TrajectoryRequest, generator: TrajectoryGenerator, now: int, attempt: int = 0
+    ) -> None:
         points = request.points
         start = request.start
         assert points is not None
@@ -427,7 +473,11 @@ class JoinedAhead:
         self._may_be_late = start is None and self._fork is not None and not self._fork.moving(now)
         self._now = self._earliest = now
         if not self._may_be_late and (start is None or start < now):
-            lead = _LEAD + _LEAD_PER_POINT * len(points.times) + _LEAD_PER_SECOND * float(points.times[-1])
+            lead = (
+                _LEAD
+                + _LEAD_PER_POINT * len(points.times)
+                + _LEAD_PER_SECOND * float(points.times[-1])
+            )
             self._earliest += round(lead / generator.period) * _LEAD_GROWTH**attempt
         self._schedule: Schedule | None = None
         self._error: TrajectoryError | None = None

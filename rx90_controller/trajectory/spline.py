@@ -91,7 +91,9 @@ def _control_points(coefficients: Array, span: Array, low: Array, high: Array) -
 
 
 @kernel
-def sample_spline(knots: Array, coefficients: Array, final: Array, times: Array, setpoints: Array) -> None:
+def sample_spline(
+    knots: Array, coefficients: Array, final: Array, times: Array, setpoints: Array
+) -> None:
     """Write the set-points at `times` into `setpoints`, shape (m, 3, j)."""
     last = knots.size - 1
     for m in range(times.size):
@@ -148,13 +150,17 @@ def _slopes(times: Array, position: Array, slopes: Array) -> None:
         for j in range(slopes.shape[1]):
             left = (position[i, j] - position[i - 1, j]) / before
             right = (position[i + 1, j] - position[i, j]) / after
-            slopes[i, j] = (3.0 * (after * left + before * right) - after * slopes[i - 1, j]) / pivot
+            slopes[i, j] = (
+                3.0 * (after * left + before * right) - after * slopes[i - 1, j]
+            ) / pivot
     for i in range(last - 1, 0, -1):
         for j in range(slopes.shape[1]):
             slopes[i, j] -= factor[i] * slopes[i + 1, j]
 
 
-def interpolate(times: Array, position: Array, velocity: Array, acceleration: Array | None) -> Spline:
+def interpolate(
+    times: Array, position: Array, velocity: Array, acceleration: Array | None
+) -> Spline:
     """Return the spline through the points: cubic with velocities, quintic with velocities and accelerations.
 
     Args:
@@ -218,7 +224,9 @@ def merged(spline: Spline, other: Spline, joints: Mask) -> Spline:
     """Return a spline whose joints in a mask of shape (j,) are those of another one."""
     knots = np.union1d(spline.times, other.times)
     coefficients = np.where(joints, _expanded(other, knots[:-1]), _expanded(spline, knots[:-1]))
-    return Spline(knots, coefficients, np.where(joints, other.final, spline.final), spline.blend_error)
+    return Spline(
+        knots, coefficients, np.where(joints, other.final, spline.final), spline.blend_error
+    )
 
 
 def _expanded(spline: Spline, knots: Array) -> Array:
@@ -244,7 +252,9 @@ def _expanded(spline: Spline, knots: Array) -> Array:
 class _Law:
     """Time and rate on a path from a tick on: the rate approaches a target, within accelerations, and stays there."""
 
-    def __init__(self, motion: FollowedPath, tick: int, time: float, rate: float, wanted: float) -> None:
+    def __init__(
+        self, motion: FollowedPath, tick: int, time: float, rate: float, wanted: float
+    ) -> None:
         self.tick = tick
         self._spline = motion.path.spline
         self._limit = motion.limit
@@ -262,7 +272,11 @@ class _Law:
         row = np.clip(since.astype(np.int64), 0, last)
         ahead = (since - row) * self._period
         change = (rates[np.minimum(row + 1, last)] - rates[row]) / self._period
-        return times[row] + ahead * (rates[row] + 0.5 * ahead * change), rates[row] + ahead * change, change
+        return (
+            times[row] + ahead * (rates[row] + 0.5 * ahead * change),
+            rates[row] + ahead * change,
+            change,
+        )
 
     def point(self, tick: int) -> tuple[float, float]:
         """Return time, s, and rate at a tick, faster than `at`."""
@@ -286,14 +300,28 @@ class _Law:
             series = np.empty((2, block + 1))
             series[:, 0] = self._series[:, -1]
             path = self._spline
-            done = _advance(path.times, path.coefficients, path.final, self._limit, self._period, self._wanted, series)
+            done = _advance(
+                path.times,
+                path.coefficients,
+                path.final,
+                self._limit,
+                self._period,
+                self._wanted,
+                series,
+            )
             self._settled = done < block
             self._series = np.concatenate([self._series, series[:, 1 : done + 1]], axis=1)
 
 
 @kernel
 def _advance(
-    knots: Array, coefficients: Array, final: Array, limit: Array, period: float, wanted: float, series: Array
+    knots: Array,
+    coefficients: Array,
+    final: Array,
+    limit: Array,
+    period: float,
+    wanted: float,
+    series: Array,
 ) -> int:
     """Fill times and rates, shape (2, n), from their first entries on; return how many ticks the rate changes for."""
     here = np.empty((1, 3, final.size))
@@ -344,7 +372,9 @@ def _bound(here: Array, rate: float, wanted: float, limit: Array, period: float)
 
 
 @inlined
-def _follows(before: Array, rate: float, after: Array, then: float, limit: Array, period: float) -> bool:
+def _follows(
+    before: Array, rate: float, after: Array, then: float, limit: Array, period: float
+) -> bool:
     """Return whether velocities q' r change by no more than the limits, and the tick ends within the accelerations.
 
     Without the second condition the path's own acceleration could grow within the tick beyond the reserve.
@@ -354,7 +384,9 @@ def _follows(before: Array, rate: float, after: Array, then: float, limit: Array
     for j in range(limit.size):
         step = after[1, j] * then - before[1, j] * rate
         end = after[2, j] * then * then + after[1, j] * change
-        follows = follows and abs(step) <= limit[j] * period and abs(end) <= limit[j] * (1.0 + _SLACK)
+        follows = (
+            follows and abs(step) <= limit[j] * period and abs(end) <= limit[j] * (1.0 + _SLACK)
+        )
     return follows
 
 

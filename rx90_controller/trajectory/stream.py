@@ -35,7 +35,9 @@ INTERFACES = (POSITION, VELOCITY)
 """What a stream may consist of."""
 LONGEST_PAUSE = 1.0
 """Interruption of a stream, s, after which its sender goes on from where it is by then; a longer one ends it."""
-_OTHER_CLOCK = 1.0  # s: a stamp further from the controller's time than this comes from another clock
+_OTHER_CLOCK = (
+    1.0  # s: a stamp further from the controller's time than this comes from another clock
+)
 _SLOW = 1e-7  # rad/s: velocity that is rounded to rest at the end of a motion
 _FAR = 1e6  # rad, rad/s, rad/s^2: beyond all limits; larger numbers are taken for it, so that none overflows
 
@@ -72,7 +74,8 @@ class StreamOptions(Model):
         ),
     ] = 0.1
     commands: Annotated[
-        Literal["position", "velocity"], Field(description=f"What ~/commands are: {', '.join(INTERFACES)}.")
+        Literal["position", "velocity"],
+        Field(description=f"What ~/commands are: {', '.join(INTERFACES)}."),
     ] = "position"
 
 
@@ -94,7 +97,9 @@ class SetPoints(NamedTuple):
     named: Mask
 
 
-def from_message(names: Sequence[str], message: Any, options: StreamOptions, *, partial: bool) -> SetPoints:
+def from_message(
+    names: Sequence[str], message: Any, options: StreamOptions, *, partial: bool
+) -> SetPoints:
     """Return the set-point in a message: positions, with velocities or without, or velocities alone.
 
     Args:
@@ -117,7 +122,9 @@ def from_message(names: Sequence[str], message: Any, options: StreamOptions, *, 
         rows = [message.position, message.velocity]
         check_joints(names, given, partial=partial)
         if len(message.effort):
-            raise TrajectoryError("carries effort; accepted: position, with velocity or without, or velocity alone")
+            raise TrajectoryError(
+                "carries effort; accepted: position, with velocity or without, or velocity alone"
+            )
     columns = [names.index(name) for name in given]
     positions = joint_table("positions", rows[:1], columns, names, "")
     velocities = joint_table("velocities", rows[1:], columns, names, "")
@@ -218,10 +225,14 @@ class Stream:
             self._values = held[None, quantity : quantity + 2] * self.named
         values = np.clip(points.values, -_FAR, _FAR)
         if not values[-1, 1].any():
-            values[-1, 1] = np.nan  # senders usually let a single point rest; the next one is still to come
+            values[-1, 1] = (
+                np.nan
+            )  # senders usually let a single point rest; the next one is still to come
         values = values[times > now]
         times = times[times > now]
-        begin = max(np.searchsorted(self._times, now) - 2, 0)  # the slope at the last one before now needs two
+        begin = max(
+            np.searchsorted(self._times, now) - 2, 0
+        )  # the slope at the last one before now needs two
         end = np.searchsorted(self._times, times[0])
         self._times = np.concatenate([self._times[begin:end], times])
         self._values = np.concatenate([self._values[begin:end], values])
@@ -235,8 +246,12 @@ class Stream:
         behind = abs(states[: len(reference)] - reference)[:-2, quantity].max(axis=0)
         names = ", ".join(np.array(limits.names)[(behind > limits.start_tolerance) & self.named])
         if names:
-            self.notes.setdefault("beyond", f"{names}: a {self.interface} beyond the limits; followed within them")
-        return interpolate(np.arange(float(len(states))) * self.period, states[:, 0], states[:, 1], None)
+            self.notes.setdefault(
+                "beyond", f"{names}: a {self.interface} beyond the limits; followed within them"
+            )
+        return interpolate(
+            np.arange(float(len(states))) * self.period, states[:, 0], states[:, 1], None
+        )
 
     def _check_begin(self, times: Array, positions: Array, held: Array) -> None:
         """Check that the arm can be at the first positions, shape (n, j), in their times, s, with any velocity there.
@@ -264,7 +279,9 @@ class Stream:
         if self.interface == POSITION:
             slopes = np.where(np.isnan(slopes), np.gradient(values, times, axis=0), slopes)
         else:
-            from scipy.integrate import cumulative_trapezoid  # takes a while, which most runs do without
+            from scipy.integrate import (
+                cumulative_trapezoid,
+            )  # takes a while, which most runs do without
 
             times = np.append(times, self.expires - now)
             slopes = np.vstack([values, values[-1]])

@@ -56,7 +56,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_topics(parser: argparse.ArgumentParser, default: str) -> None:
     parser.add_argument(
-        "--topic", nargs="+", dest="topics", metavar="TOPIC", help=f"topics of joint states ({default})"
+        "--topic",
+        nargs="+",
+        dest="topics",
+        metavar="TOPIC",
+        help=f"topics of joint states ({default})",
     )
 
 
@@ -88,7 +92,9 @@ def _record(args: argparse.Namespace) -> int:
     prepare()
     from rx90_common.bags.recorder.recording import record
 
-    counts = record(args.topics or SUITE_TOPICS, args.ros_args, lambda: BagWriter(args.output), stop)
+    counts = record(
+        args.topics or SUITE_TOPICS, args.ros_args, lambda: BagWriter(args.output), stop
+    )
     return _report(counts, args.output, requested=bool(args.topics))
 
 
@@ -97,9 +103,13 @@ def _report(counts: Sequence[TopicCount], output: Path, *, requested: bool) -> i
     repeated = sum(count.repeated for count in counts)
     received = sum(count.received for count in counts)
     empty = [count.topic for count in counts if not count.received]
-    left_out = f"; left out: {counted(repeated, 'repetition')} of the sample before" if repeated else ""
+    left_out = (
+        f"; left out: {counted(repeated, 'repetition')} of the sample before" if repeated else ""
+    )
     topics = counted(len(counts) - len(empty), "topic")
-    print(f"recorded {counted(received - repeated, 'message')} of {topics} to {plain(output)}{left_out}")
+    print(
+        f"recorded {counted(received - repeated, 'message')} of {topics} to {plain(output)}{left_out}"
+    )
     failures = []
     if empty and (requested or not received):
         part = "not" if received else "nothing"
@@ -107,7 +117,9 @@ def _report(counts: Sequence[TopicCount], output: Path, *, requested: bool) -> i
     for count in counts:
         writers = "; ".join(f"{w.lost} of {w.received + w.lost}" for w in count.writers)
         if count.lost:
-            failures.append(f"lost: {counted(count.lost, 'message')} of {count.topic} (by publisher: {writers})")
+            failures.append(
+                f"lost: {counted(count.lost, 'message')} of {count.topic} (by publisher: {writers})"
+            )
         if count.refused:
             failures.append(f"not recorded: {counted(count.refused, 'publisher')} of {count.topic}, whose quality of "
                             "service does not fit the first one's")  # fmt: skip
@@ -125,10 +137,16 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
         help="in rad, rad/s or Nm; the last one that fits decides; default 0: equal bits",
     )  # fmt: skip
     _add_topics(parser, "all")
-    parser.add_argument("--from", dest="start", metavar="S", help="leave out stamps before this time in s")
-    parser.add_argument("--to", dest="end", metavar="S", help="leave out stamps after this time in s")
     parser.add_argument(
-        "--common-range", action="store_true", help="stamps before or after what both bags have make no difference"
+        "--from", dest="start", metavar="S", help="leave out stamps before this time in s"
+    )
+    parser.add_argument(
+        "--to", dest="end", metavar="S", help="leave out stamps after this time in s"
+    )
+    parser.add_argument(
+        "--common-range",
+        action="store_true",
+        help="stamps before or after what both bags have make no difference",
     )
     parser.add_argument(
         "--align", default="0", metavar="start|trajectory|S",
@@ -155,7 +173,9 @@ def _compare(args: argparse.Namespace) -> int:
         common_range=args.common_range,
         align=alignment(args.align),
     )
-    comparison = compare_bags(args.bag_a, args.bag_b, Tolerances(*args.tolerance), scope, _signals(args))
+    comparison = compare_bags(
+        args.bag_a, args.bag_b, Tolerances(*args.tolerance), scope, _signals(args)
+    )
     print(comparison_json(comparison) if args.json else comparison_text(comparison))
     return int(comparison.verdict)
 
@@ -176,14 +196,20 @@ def _path(args: argparse.Namespace) -> None:
     robot = load_robot(files.urdf, files.tool)
     for bag in args.bags:
         accuracy = recorded_accuracy(bag, robot, files, args.signals)
-        print(f"{plain(bag)}: {accuracy.words if accuracy else 'no path error: it holds no set-points'}")
+        print(
+            f"{plain(bag)}: {accuracy.words if accuracy else 'no path error: it holds no set-points'}"
+        )
 
 
 def alignment(text: str) -> int | str:
     """Return what --align says, as `Scope` takes it."""
     from rx90_common.bags.recorded import START, TRAJECTORY
 
-    return text if text in (START, TRAJECTORY) else _time("--align", text, f"{START}, {TRAJECTORY}, or a time in s")
+    return (
+        text
+        if text in (START, TRAJECTORY)
+        else _time("--align", text, f"{START}, {TRAJECTORY}, or a time in s")
+    )
 
 
 def _time(option: str, text: str, accepted: str = "a time in s, e.g. 1.25") -> int:
@@ -234,7 +260,9 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     text = "FILE.csv, .parquet or .npz of one topic, or a folder; must not exist"
     add_output(parser, new_folder, text, metavar="FILE|FOLDER", required=True)
     _add_topics(parser, "all")
-    parser.add_argument("--format", choices=_KINDS, help="make a folder of such files (the suffix, else csv)")
+    parser.add_argument(
+        "--format", choices=_KINDS, help="make a folder of such files (the suffix, else csv)"
+    )
 
 
 def _export(args: argparse.Namespace) -> None:
@@ -249,7 +277,9 @@ def _export(args: argparse.Namespace) -> None:
     kind = None if args.format is None else f".{args.format}"
     mapping = _signals(args)
     with progress_bar("export") as progress:
-        topics = export_bag(args.bag, args.output, topics=args.topics, kind=kind, progress=progress, mapping=mapping)
+        topics = export_bag(
+            args.bag, args.output, topics=args.topics, kind=kind, progress=progress, mapping=mapping
+        )
     for topic, count in topics.items():
         print(f"{plain(topic)}: {counted(count, 'message')}")
     print(f"written: {plain(args.output)}")
@@ -262,7 +292,9 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help="log to read")
     parser.add_argument("bag", type=new_folder, metavar="BAG", help="bag to make; must not exist")
     _add_signals(parser)
-    parser.add_argument("--skip-corrupt", action="store_true", help="leave out damaged rows, and say which")
+    parser.add_argument(
+        "--skip-corrupt", action="store_true", help="leave out damaged rows, and say which"
+    )
 
 
 def _import(args: argparse.Namespace) -> None:
@@ -295,7 +327,11 @@ def _info(options: argparse.Namespace) -> None:
 
 
 _VERBS = (
-    (_add_record, _record, "record topics to a new bag; a lost message is a non-zero exit, and so is an empty bag"),
+    (
+        _add_record,
+        _record,
+        "record topics to a new bag; a lost message is a non-zero exit, and so is an empty bag",
+    ),
     (_add_compare, _compare, "compare two bags; exit 0 same, 1 differs, 2 cannot be compared"),
     (_add_path, _path, "print how far the tip was from the path of its set-points"),
     (_add_plot, _plot, "draw one bag, or two over each other, as a page"),

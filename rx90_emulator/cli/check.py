@@ -33,7 +33,9 @@ docs/howto/controller_check.md says more.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.epilog = _EPILOG
-    parser.set_defaults(interrupted="there is no report; {output} has the logs of the controller", ros_args=[])
+    parser.set_defaults(
+        interrupted="there is no report; {output} has the logs of the controller", ros_args=[]
+    )
     parser.add_argument("command", nargs=argparse.REMAINDER, metavar="COMMAND",
                         help="starts the controller, with its arguments; after all options")  # fmt: skip
     parser.add_argument("--case", action="append", dest="cases", metavar="NAME",
@@ -54,7 +56,9 @@ def main(options: argparse.Namespace) -> int:
     """Return 0 where the controller keeps all limits, else 1."""
     at_joints = options.joint_commands is not None
     if options.set_points is not None and not _NAME.fullmatch(options.set_points):
-        raise ConfigError(f"--set-points {quoted(options.set_points)}; accepted: a topic such as /cell/set_points")
+        raise ConfigError(
+            f"--set-points {quoted(options.set_points)}; accepted: a topic such as /cell/set_points"
+        )
     command = [*options.command, *options.ros_args]
     if command and shutil.which(command[0]) is None:
         raise ConfigError(f"COMMAND {quoted(command[0])}: no such program; accepted: one that starts a controller, or "
@@ -81,7 +85,9 @@ def main(options: argparse.Namespace) -> int:
     rate = setup.rates.base_hz if options.joint_commands is None else options.joint_commands
     ticks_per_command = ticks_per("--joint-commands", setup.rates.base_hz, rate)
     timeout = options.timeout or _TIMEOUT
-    candidate = Candidate(command, node_of(options), options.set_points, at_joints, ticks_per_command, timeout)
+    candidate = Candidate(
+        command, node_of(options), options.set_points, at_joints, ticks_per_command, timeout
+    )
     with progress_bar("check") as progress:
         result = check_controller(candidate, setup, names, options.output, progress)
     write_text(options.output / "result.json", result.json)

@@ -62,7 +62,9 @@ def _node(name: str) -> argparse.ArgumentParser:
     ros.add_argument("--ros-args", action="store_true", help="what follows is for ROS")
     ros.add_argument("--params-file", metavar="FILE", help="parameter file")
     ros.add_argument("-p", "--param", metavar="NAME:=VALUE", help="parameter")
-    ros.add_argument("-r", "--remap", metavar="FROM:=TO", help="other name of a topic, a service or the node")
+    ros.add_argument(
+        "-r", "--remap", metavar="FROM:=TO", help="other name of a topic, a service or the node"
+    )
     return parser
 
 
@@ -100,7 +102,11 @@ def _words_or_files(shell: str) -> str:
     words = {"robot": shipped_robots(), "plan": plans, "topics": SUITE_TOPICS}
     files = {
         "robot": {"bash": "compgen -d", "zsh": "_files -/", "fish": "__fish_complete_directories"},
-        "plan": {"bash": "compgen -f", "zsh": "_files", "fish": "__fish_complete_path (commandline -ct)"},
+        "plan": {
+            "bash": "compgen -f",
+            "zsh": "_files",
+            "fish": "__fish_complete_path (commandline -ct)",
+        },
     }
     text = ""
     for name in _WORDS:

@@ -23,7 +23,9 @@ def _add_check(check: argparse.ArgumentParser) -> None:
     check.add_argument("files", nargs="+", type=Path, metavar="FILE",
                        help="YAML file of the project, or a robot folder: its files, and whether they fit "
                        "together")  # fmt: skip
-    check.add_argument("--kind", metavar="KIND", help=f"what the files are ({_KINDS}); else told from their keys")
+    check.add_argument(
+        "--kind", metavar="KIND", help=f"what the files are ({_KINDS}); else told from their keys"
+    )
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -51,7 +53,11 @@ def _check(options: argparse.Namespace) -> int:
         for text in refused:
             fault, _, accepted = text.partition("; accepted: ")
             by_accepted.setdefault(accepted, []).append(fault)
-        raise ConfigError("; ".join(f"{'; '.join(faults)}; accepted: {one}" for one, faults in by_accepted.items()))
+        raise ConfigError(
+            "; ".join(
+                f"{'; '.join(faults)}; accepted: {one}" for one, faults in by_accepted.items()
+            )
+        )
     return VERDICT_NO if problems else DONE
 
 

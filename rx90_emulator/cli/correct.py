@@ -53,8 +53,15 @@ def _add_nodes(parser: argparse.ArgumentParser) -> None:
 
 def _add_recorded(parser: argparse.ArgumentParser) -> None:
     _add_learning(parser)
-    parser.add_argument("--bag", type=Path, metavar="BAG", help="of the joints, from an arm or the nodes, or a table")
-    parser.add_argument("--topic", default="joint_states", metavar="TOPIC", help="of the joints in it (%(default)s)")
+    parser.add_argument(
+        "--bag",
+        type=Path,
+        metavar="BAG",
+        help="of the joints, from an arm or the nodes, or a table",
+    )
+    parser.add_argument(
+        "--topic", default="joint_states", metavar="TOPIC", help="of the joints in it (%(default)s)"
+    )
     parser.add_argument("--tip", type=Path, metavar="FILE", help="the tip, measured in that trial: time [s], x [m], "
                         "y [m], z [m] in the base frame; or a bag")  # fmt: skip
     _add_tip_topic(parser, "of the tip where it is in a bag")
@@ -67,10 +74,16 @@ def _add_learning(parser: argparse.ArgumentParser) -> None:
                         "rx90 line --output writes it)")  # fmt: skip
     add_output(parser, place, "correction file to write, .yaml", metavar="FILE", required=True)
     add_force(parser)
-    parser.add_argument("--previous", type=Path, metavar="FILE", help="correction file to go on from")
+    parser.add_argument(
+        "--previous", type=Path, metavar="FILE", help="correction file to go on from"
+    )
     method = parser.add_argument_group("norm-optimal learning")
     method.add_argument(
-        "--effort", type=POSITIVE, metavar="W", default=0.1, help="weight of a change, m/rad (%(default)s)"
+        "--effort",
+        type=POSITIVE,
+        metavar="W",
+        default=0.1,
+        help="weight of a change, m/rad (%(default)s)",
     )
     method.add_argument("--joints-weight", type=POSITIVE, metavar="W", default=0.005,
                         help="weight of the joints' own errors, m/rad (%(default)s)")  # fmt: skip
@@ -84,11 +97,17 @@ def _add_cutoff(parser: argparse._ActionsContainer, text: str) -> None:
 
 
 def _add_tip_topic(parser: argparse.ArgumentParser, text: str) -> None:
-    parser.add_argument("--tip-topic", metavar="TOPIC", help=f"{text}: PointStamped, PoseStamped or TransformStamped")
+    parser.add_argument(
+        "--tip-topic",
+        metavar="TOPIC",
+        help=f"{text}: PointStamped, PoseStamped or TransformStamped",
+    )
 
 
 def _add_trials(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--trials", type=whole_number, metavar="N", default=4, help="after the first (%(default)s)")
+    parser.add_argument(
+        "--trials", type=whole_number, metavar="N", default=4, help="after the first (%(default)s)"
+    )
 
 
 def _engine(options: argparse.Namespace) -> int:
@@ -132,7 +151,9 @@ def _nodes(options: argparse.Namespace) -> int:
         prepare()
         from rx90_emulator.correction.nodes import node_trials
 
-        with node_trials(learner, node_of(options), options.timeout or _TIMEOUT, options.tip_topic) as play:
+        with node_trials(
+            learner, node_of(options), options.timeout or _TIMEOUT, options.tip_topic
+        ) as play:
             learned = learn(learner, play, options.trials, NODES, on_trial)
     return _end(options, learned, earlier)
 
@@ -147,9 +168,13 @@ def _recorded(options: argparse.Namespace) -> int:
     from rx90_emulator.correction.recorded import learn_from_record, measured
 
     if options.bag is None and options.tip is None:
-        raise CorrectionError("no --bag and no --tip; accepted: one of them, or both of the same trial")
+        raise CorrectionError(
+            "no --bag and no --tip; accepted: one of them, or both of the same trial"
+        )
     learner, earlier = _learner(options, tip=options.tip is not None)
-    found, lines = measured(learner.setup, learner.nominal, options.bag, options.tip, options.topic, options.tip_topic)
+    found, lines = measured(
+        learner.setup, learner.nominal, options.bag, options.tip, options.topic, options.tip_topic
+    )
     print("\n".join(one_line(line) for line in lines))
     try:
         learned, why = learn_from_record(learner, found, earlier)
@@ -179,7 +204,9 @@ def _learner(options: argparse.Namespace, *, tip: bool) -> tuple[Learner, Correc
     return Learner(setup, path, method, tip=tip, noise=options.noise, previous=previous), earlier
 
 
-def _end(options: argparse.Namespace, learned: LearnedCorrection, earlier: CorrectionFile | None) -> int:
+def _end(
+    options: argparse.Namespace, learned: LearnedCorrection, earlier: CorrectionFile | None
+) -> int:
     """Show the trials, and write the best correction."""
     from rx90_emulator.correction.learning import summary
 
@@ -190,7 +217,11 @@ def _end(options: argparse.Namespace, learned: LearnedCorrection, earlier: Corre
 
 
 def _write(
-    options: argparse.Namespace, learned: LearnedCorrection, earlier: CorrectionFile | None, said: str, why: str
+    options: argparse.Namespace,
+    learned: LearnedCorrection,
+    earlier: CorrectionFile | None,
+    said: str,
+    why: str,
 ) -> int:
     from rx90_emulator.correction.file import write_correction
 
@@ -239,7 +270,9 @@ def _show(options: argparse.Namespace) -> None:
 
 def _add_precompensate(precompensate: argparse.ArgumentParser) -> None:
     precompensate.add_argument("file", type=Path, metavar="FILE", help="correction file")
-    precompensate.add_argument("path", metavar="PATH", help="task, path or trajectory that it is of")
+    precompensate.add_argument(
+        "path", metavar="PATH", help="task, path or trajectory that it is of"
+    )
     about = "trajectory to write: .yaml, or .csv for its set-points: s, joints in deg, tool in mm and deg"
     add_output(precompensate, place, about, metavar="FILE", required=True)
     add_force(precompensate)
@@ -256,7 +289,11 @@ def _precompensate(options: argparse.Namespace) -> None:
     check_replaced(options.output, force=options.force)
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.correction.file import load_correction
-    from rx90_emulator.correction.precompensation import CUTOFF, corrected_trajectory, travelled_error
+    from rx90_emulator.correction.precompensation import (
+        CUTOFF,
+        corrected_trajectory,
+        travelled_error,
+    )
     from rx90_emulator.loop.setup import Setup
     from rx90_emulator.loop.trajectory_file import write_trajectory
 
@@ -269,9 +306,13 @@ def _precompensate(options: argparse.Namespace) -> None:
     after = travelled_error(setup, path, points)
     write_trajectory(options.output, setup.robot, points, 1.0 / setup.rates.position_hz)
     print(one_line(f"written to {options.output}: {counted(len(points.times), 'point')}"))
-    smoothed = f"{after * 1e3:.4f} mm with the offsets below {cutoff:g} Hz, {before * 1e3:.4f} mm without"
+    smoothed = (
+        f"{after * 1e3:.4f} mm with the offsets below {cutoff:g} Hz, {before * 1e3:.4f} mm without"
+    )
     learned = f"{min(found.worst) * 1e3:.4f} mm"
-    print(f"worst path error on the engine: {smoothed}; all offsets, when they were learned: {learned}")
+    print(
+        f"worst path error on the engine: {smoothed}; all offsets, when they were learned: {learned}"
+    )
 
 
 _VERBS = (

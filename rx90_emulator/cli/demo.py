@@ -22,12 +22,24 @@ _ANY_PORT = 0  # the demonstration need not know which
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    add_output(parser, new_folder, "folder for bags, logs and report (out/demo/<time>)", metavar="FOLDER")
-    parser.add_argument(
-        "--short", action="store_true", help="as fast as the machine allows instead of paced at real time"
+    add_output(
+        parser, new_folder, "folder for bags, logs and report (out/demo/<time>)", metavar="FOLDER"
     )
-    parser.add_argument("--composed", action="store_true", help="simulation and controller in one process (rx90_cell)")
-    parser.add_argument("--view", action="store_true", help="with a page in the browser that shows the arm (rx90 view)")
+    parser.add_argument(
+        "--short",
+        action="store_true",
+        help="as fast as the machine allows instead of paced at real time",
+    )
+    parser.add_argument(
+        "--composed",
+        action="store_true",
+        help="simulation and controller in one process (rx90_cell)",
+    )
+    parser.add_argument(
+        "--view",
+        action="store_true",
+        help="with a page in the browser that shows the arm (rx90 view)",
+    )
     add_robot_arguments(parser, "task")
     parser.set_defaults(interrupted="every process has ended")
 
@@ -58,6 +70,8 @@ def _folder(given: Path | None) -> Path:
         except OSError as error:
             if isinstance(error, FileExistsError) and given is None and folder.is_dir():
                 continue  # another run began in the same second
-            raise ConfigError(f"--output {folder}: {error.strerror}; accepted: a folder that can be made") from error
+            raise ConfigError(
+                f"--output {folder}: {error.strerror}; accepted: a folder that can be made"
+            ) from error
         break
     return folder

@@ -7,7 +7,13 @@ import time
 from typing import TYPE_CHECKING
 
 from rx90_common.base.quoting import one_line
-from rx90_emulator.cli.options import POSITIVE, add_output, add_robot_arguments, add_verbs, new_folder
+from rx90_emulator.cli.options import (
+    POSITIVE,
+    add_output,
+    add_robot_arguments,
+    add_verbs,
+    new_folder,
+)
 
 if TYPE_CHECKING:
     from rx90_emulator.loop.own_controller import ComputedTorque
@@ -24,7 +30,8 @@ It drives a simulation that takes efforts at the joints:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verbs and their options."""
     parser.epilog = (
-        "Robot, tool, drives and friction are the arm as the controller knows it; the simulation may have others."
+        "Robot, tool, drives and friction are the arm as the controller knows it; "
+        "the simulation may have others."
     )
     parser.set_defaults(ros_args=[])
     add_verbs(parser, _VERBS)
@@ -44,7 +51,9 @@ def _add_nodes(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_motion(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--duration", type=POSITIVE, default=8.0, metavar="S", help="simulated time (%(default)g)")
+    parser.add_argument(
+        "--duration", type=POSITIVE, default=8.0, metavar="S", help="simulated time (%(default)g)"
+    )
     parser.add_argument("--no-compensation", action="store_true", help="of the friction")
     add_robot_arguments(parser, "urdf", "tool", "drives", "friction")
 
@@ -100,10 +109,15 @@ def _drive(controller: ComputedTorque, names: tuple[str, ...], options: argparse
     from rx90_sim.node.simulation_client import EffortController
 
     timeout = options.timeout
-    with client_node("own_controller", timeout, lambda text: print(text, flush=True), options.ros_args) as client:
+    with client_node(
+        "own_controller", timeout, lambda text: print(text, flush=True), options.ros_args
+    ) as client:
         node = EffortController(client.node, controller, names)
         topic = client.node.resolve_topic_name(MEASURED_JOINT_STATES)
-        client.wait(lambda: node.time is not None, f"states on {topic}, of rx90_sim with command_interface joint,")
+        client.wait(
+            lambda: node.time is not None,
+            f"states on {topic}, of rx90_sim with command_interface joint,",
+        )
         begin = node.time or 0.0
         calls = 0
         heard = time.monotonic()
@@ -113,7 +127,9 @@ def _drive(controller: ComputedTorque, names: tuple[str, ...], options: argparse
                 calls = len(controller.errors)
                 heard = time.monotonic()
             elif time.monotonic() - heard > timeout:
-                raise ExchangeError(f"no states within {timeout:g} s; accepted: a simulation that runs")
+                raise ExchangeError(
+                    f"no states within {timeout:g} s; accepted: a simulation that runs"
+                )
         controller.errors.pop()  # at the end itself, which a run in one process has not
 
 

@@ -84,8 +84,16 @@ def _verbs(add_options: Callable[[argparse.ArgumentParser], None]) -> tuple[Verb
 
     return (
         (add_plan, _plan, "show the experiments, their time and number of runs; moves nothing"),
-        (add_engine, _engine, "run them in the closed loop without ROS, fast, and write a bag of each"),
-        (add_nodes, _nodes, "run them on the controller node, in its time, and record a bag of each"),
+        (
+            add_engine,
+            _engine,
+            "run them in the closed loop without ROS, fast, and write a bag of each",
+        ),
+        (
+            add_nodes,
+            _nodes,
+            "run them on the controller node, in its time, and record a bag of each",
+        ),
     )
 
 
@@ -122,7 +130,9 @@ def _add_excitation_options(parser: argparse.ArgumentParser) -> None:
     for name, (_, _, meaning) in RANGES.items():
         default = vars(ExcitationOptions)[name]
         kind = whole_number if isinstance(default, int) else FINITE
-        parser.add_argument(f"--{name}", type=kind, default=default, metavar="N", help=f"{meaning} (%(default)s)")
+        parser.add_argument(
+            f"--{name}", type=kind, default=default, metavar="N", help=f"{meaning} (%(default)s)"
+        )
     parser.add_argument("--keep-above", type=FINITE, metavar="Z", help="a table: links and tool stay above this height "
                         "over the base's origin, m")  # fmt: skip
     parser.add_argument("--wall", type=FINITE, nargs=4, action="append", default=[], metavar=("NX", "NY", "NZ", "D"),
@@ -148,7 +158,9 @@ def _add_motions(parser: argparse.ArgumentParser) -> None:
 
 def _add_bags(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted="complete bags stay")
-    add_output(parser, new_folder, "folder for the bags; must not exist", metavar="FOLDER", required=True)
+    add_output(
+        parser, new_folder, "folder for the bags; must not exist", metavar="FOLDER", required=True
+    )
 
 
 def _plan(options: argparse.Namespace) -> None:
@@ -166,7 +178,9 @@ def _any(options: argparse.Namespace) -> None:
     from rx90_emulator.identification.experiments.arms import PlannedArm
 
     tool = None if options.tool in (None, NO_TOOL) else resolve_config(options.tool)
-    arm = PlannedArm.from_urdf(options.urdf, options.joints, tool, options.home, options.acceleration)
+    arm = PlannedArm.from_urdf(
+        options.urdf, options.joints, tool, options.home, options.acceleration
+    )
     _write(options, arm, _described(options, None, arm))
 
 
@@ -184,7 +198,9 @@ def _nodes(options: argparse.Namespace) -> None:
     from rx90_emulator.identification.experiments import series
 
     setup, plan = _planned(options)
-    series.record_on_nodes(setup, plan, options.output, node_of(options), options.timeout or _TIMEOUT)
+    series.record_on_nodes(
+        setup, plan, options.output, node_of(options), options.timeout or _TIMEOUT
+    )
     print(one_line(f"bags: {options.output}"))
 
 
@@ -203,7 +219,9 @@ def _setup(options: argparse.Namespace) -> Setup:
     return Setup.load(RobotFiles.of_options(options))
 
 
-def _described(options: argparse.Namespace, setup: Setup | None, arm: PlannedArm) -> Sequence[Experiment]:
+def _described(
+    options: argparse.Namespace, setup: Setup | None, arm: PlannedArm
+) -> Sequence[Experiment]:
     """Return the experiments, which are shown: sweeps of a setup, or excitation runs of an arm."""
     from rx90_emulator.identification.experiments import series
     from rx90_emulator.identification.experiments.plan import plan_experiments

@@ -29,7 +29,9 @@ from rx90_emulator.export.targets import TARGETS
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.set_defaults(interrupted="nothing was written")
-    parser.add_argument("target", metavar="TARGET", choices=tuple(TARGETS), help=f"simulator: {', '.join(TARGETS)}")
+    parser.add_argument(
+        "target", metavar="TARGET", choices=tuple(TARGETS), help=f"simulator: {', '.join(TARGETS)}"
+    )
     about = "new folder for the simulator's files, and export.yaml on what they cost"
     add_output(parser, new_folder, about, metavar="FOLDER", required=True)
     parser.add_argument("--within", type=POSITIVE, metavar="NM",
@@ -64,9 +66,13 @@ def main(options: argparse.Namespace) -> int:
     if options.plot is not None:
         check_picture(options.plot)
         if options.plot == options.output:
-            raise ConfigError(f"--plot and --output are both {plain(options.plot)}; accepted: two names")
+            raise ConfigError(
+                f"--plot and --output are both {plain(options.plot)}; accepted: two names"
+            )
     speeds, bag = _speeds(options.speeds)
-    done = export_robot(load_arm(RobotFiles.of_options(options)), options.target, speeds=speeds, bag=bag)
+    done = export_robot(
+        load_arm(RobotFiles.of_options(options)), options.target, speeds=speeds, bag=bag
+    )
     write_export(done, options.output)
     print(done.text)
     print(f"\nwritten: {', '.join(done.files)} and export.yaml in {options.output}")
@@ -76,7 +82,9 @@ def main(options: argparse.Namespace) -> int:
         draw_fits({fit.name: fit for fit in done.fits}, options.plot)
     if options.within is not None and done.largest > options.within:
         worst = max(done.fits, key=lambda fit: fit.worst)
-        line = f"{worst.name} differs by up to {worst.worst:.3g} Nm; accepted: {options.within:g} Nm"
+        line = (
+            f"{worst.name} differs by up to {worst.worst:.3g} Nm; accepted: {options.within:g} Nm"
+        )
         print(f"rx90 export: {line}", file=sys.stderr)
         return VERDICT_NO
     return DONE

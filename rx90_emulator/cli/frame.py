@@ -14,7 +14,16 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
 
-from rx90_common.base.errors import DISK_ERRORS, DONE, FAILED, INTERRUPTED, REFUSED, ConfigError, Rx90Error, Rx90Warning
+from rx90_common.base.errors import (
+    DISK_ERRORS,
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    REFUSED,
+    ConfigError,
+    Rx90Error,
+    Rx90Warning,
+)
 from rx90_common.base.quoting import one_line, plain, quoted
 from rx90_common.kernels import announce_compilation
 from rx90_common.process.children import end_with_parent
@@ -144,7 +153,9 @@ def run(command: str, words: Sequence[str]) -> int:
     except Rx90Error as error:
         _say(f"{program}: {error}")
         return error.exit_code
-    except OSError as error:  # of a file's name: one too long, or below a folder that may not be read
+    except (
+        OSError
+    ) as error:  # of a file's name: one too long, or below a folder that may not be read
         if error.filename is None:
             raise
         _say(f"{program}: {plain(error.filename)}: {error.strerror}")

@@ -67,7 +67,9 @@ def _add_sliding(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--presliding", type=Path, nargs="+", default=[], metavar="BAG",
                         help="micro-oscillations, 500 samples per second or more; else c0 and c1 are those of "
                         "--fallback, or assumed")  # fmt: skip
-    _add_identification(parser, SLIDING_PARTS, "friction file to write (.yaml), with the report beside it (.html)")
+    _add_identification(
+        parser, SLIDING_PARTS, "friction file to write (.yaml), with the report beside it (.html)"
+    )
     add_force(parser)
     _add_tolerances(parser, _TORQUE, RECORDED.total)
     add_arm_arguments(parser)
@@ -75,7 +77,10 @@ def _add_sliding(parser: argparse.ArgumentParser) -> None:
 
 def _add_excitation(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EPILOG
-    _add_bags(parser, "runs in which all joints move, without plateaus, or a folder that rx90 experiment wrote")
+    _add_bags(
+        parser,
+        "runs in which all joints move, without plateaus, or a folder that rx90 experiment wrote",
+    )
     _add_identification(parser, MODEL_PARTS, "folder for robot files, report and parameters")
     parser.add_argument("--bristles", action="store_true", help="try bristles along the motion, too, where neither a "
                         "Stribeck rise nor the rows of reversals ask for them")  # fmt: skip
@@ -90,7 +95,11 @@ def _add_excitation(parser: argparse.ArgumentParser) -> None:
 
 def _add_check(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EPILOG
-    parser.add_argument("friction", metavar="FILE", help="friction file, or a shipped one (robots/tx40/friction.yaml)")
+    parser.add_argument(
+        "friction",
+        metavar="FILE",
+        help="friction file, or a shipped one (robots/tx40/friction.yaml)",
+    )
     _add_bags(parser, "bags of the arm")
     _add_report(parser, "none")
     _add_tolerances(parser, _TORQUE, RECORDED.total)
@@ -178,7 +187,12 @@ def _check(options: argparse.Namespace) -> int:
     from rx90_emulator.identification import job
 
     against = job.run_check(
-        options.friction, options.bags, _robot(options), _tolerances(options), options.report, force=options.force
+        options.friction,
+        options.bags,
+        _robot(options),
+        _tolerances(options),
+        options.report,
+        force=options.force,
     )
     return _verdict(against and f"{against} {options.friction}")
 
@@ -201,7 +215,9 @@ def _series(paths: Sequence[Path]) -> IdentificationBags:
         else:
             sliding.append(path)
             excitation.append(path)
-    return IdentificationBags(tuple(sliding), tuple(presliding), tuple(validation), tuple(excitation))
+    return IdentificationBags(
+        tuple(sliding), tuple(presliding), tuple(validation), tuple(excitation)
+    )
 
 
 def _robot(options: argparse.Namespace) -> RobotOptions:
@@ -225,7 +241,9 @@ def _verdict(against: str) -> int:
 def _add_compare(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _COMPARE_EPILOG
     parser.set_defaults(interrupted="nothing was written")
-    parser.add_argument("bag", type=Path, metavar="BAG", help="measured: folder, .mcap, .db3 or ROS 1 .bag file")
+    parser.add_argument(
+        "bag", type=Path, metavar="BAG", help="measured: folder, .mcap, .db3 or ROS 1 .bag file"
+    )
     _add_report(parser, "none")
     _add_bandwidth(parser, "of the measured path as set-points; torques and positions are compared below a third of it "
                    "(from the data)")  # fmt: skip
@@ -235,7 +253,9 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--position-tolerance", type=POSITIVE, default=limits.position, metavar="RAD",
                         help="largest difference of a joint's position, rad (%(default)s)")  # fmt: skip
     add_robot_arguments(parser)
-    layout = parser.add_argument_group("what the bag holds", "by default motor_states or joint_states as here")
+    layout = parser.add_argument_group(
+        "what the bag holds", "by default motor_states or joint_states as here"
+    )
     add_message_arguments(layout, "motor_states, else joint_states")
     add_zero_argument(layout)
 
@@ -258,7 +278,13 @@ def _compare(options: argparse.Namespace) -> int:
     )
     files = RobotFiles.of_options(options)
     agrees = run_comparison(
-        options.bag, files, layout, tolerances, options.bandwidth, options.report, force=options.force
+        options.bag,
+        files,
+        layout,
+        tolerances,
+        options.bandwidth,
+        options.report,
+        force=options.force,
     )
     return _verdict("" if agrees else f"{options.bag} and the simulation do not agree")
 

@@ -53,7 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     motion.add_argument("--end", type=FINITE, nargs=3, metavar=xyz, help="m")
     motion.add_argument("--speed", type=FINITE, help="m/s (0.1)")
     motion.add_argument("--acceleration", type=FINITE, help="m/s^2 (1)")
-    motion.add_argument("--tool-rpy", type=FINITE, nargs=3, metavar=rpy, help="deg, fixed axes (0 180 0: down)")
+    motion.add_argument(
+        "--tool-rpy", type=FINITE, nargs=3, metavar=rpy, help="deg, fixed axes (0 180 0: down)"
+    )
     motion.add_argument("--start-posture", type=FINITE, nargs="+", metavar="RAD",
                          help="of an arm without a spherical wrist: joint positions near which it starts (middle of "
                          "the ranges); without --start the line starts there, with the tool as it then is")  # fmt: skip
@@ -68,8 +70,14 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
     add_rate(send)
     add_node_arguments(send, _TIMEOUT)
     add_start_time(send, "0: now")
-    send.add_argument("--approach", action="store_true", help="first move to the start, straight in the joints")
-    send.add_argument("--correction", metavar="FILE", help="correction file of this path, as rx90 correct learns it")
+    send.add_argument(
+        "--approach", action="store_true", help="first move to the start, straight in the joints"
+    )
+    send.add_argument(
+        "--correction",
+        metavar="FILE",
+        help="correction file of this path, as rx90 correct learns it",
+    )
     send.add_argument("--dry-run", action="store_true", help="plan and print, send nothing")
     about = (
         "write the trajectory as a YAML message, or in FILE.csv set-points, with --correction corrected ones: s, "
@@ -84,7 +92,8 @@ def main(options: argparse.Namespace) -> None:
 
 
 def plan_and_send(
-    options: argparse.Namespace, task_of: Callable[[argparse.Namespace, RobotFiles, RobotModel], TipTask]
+    options: argparse.Namespace,
+    task_of: Callable[[argparse.Namespace, RobotFiles, RobotModel], TipTask],
 ) -> None:
     """Plan what `task_of` reads for an arm, show it, write it where asked for, and send it, except with --dry-run."""
     # Here, because --help must not wait for them.
@@ -106,7 +115,11 @@ def plan_and_send(
 
         table = options.output.suffix.lower() == ".csv"
         write_trajectory(options.output, robot, plan.points, period, correction)
-        without = "" if table or correction is None else ", without the correction; set-points with it: FILE.csv"
+        without = (
+            ""
+            if table or correction is None
+            else ", without the correction; set-points with it: FILE.csv"
+        )
         _say(f"written to {options.output}{without}")
     if not options.dry_run:
         _send(plan, limits, correction, options)
@@ -137,7 +150,9 @@ def _task(options: argparse.Namespace, files: RobotFiles, robot: RobotModel) -> 
     return replace(task, **given)
 
 
-def _correction(plan: LinePlan, files: RobotFiles, options: argparse.Namespace) -> Correction | None:
+def _correction(
+    plan: LinePlan, files: RobotFiles, options: argparse.Namespace
+) -> Correction | None:
     """Return the correction of --correction, which must be one of this line."""
     if options.correction is None:
         return None
@@ -154,9 +169,13 @@ def _correction(plan: LinePlan, files: RobotFiles, options: argparse.Namespace) 
     return correction
 
 
-def _send(plan: LinePlan, limits: JointLimits, correction: Correction | None, options: argparse.Namespace) -> None:
+def _send(
+    plan: LinePlan, limits: JointLimits, correction: Correction | None, options: argparse.Namespace
+) -> None:
     if not 0.0 <= options.start_time < 2.0**31:
-        raise LineError(f"the start time is {options.start_time:g} s; accepted: a number >= 0, 0 for now")
+        raise LineError(
+            f"the start time is {options.start_time:g} s; accepted: a number >= 0, 0 for now"
+        )
     from rx90_common.exchange.ros_start import prepare
 
     prepare()

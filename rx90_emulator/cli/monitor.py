@@ -6,7 +6,13 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rx90_emulator.cli.options import add_node_arguments, add_robot_arguments, add_verbs, node_of, whole_from
+from rx90_emulator.cli.options import (
+    add_node_arguments,
+    add_robot_arguments,
+    add_verbs,
+    node_of,
+    whole_from,
+)
 
 if TYPE_CHECKING:
     from rx90_emulator.loop.setup import Setup
@@ -27,9 +33,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_engine(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EPILOG
     parser.set_defaults(interrupted="programs and locations that were not stored are gone")
-    parser.add_argument("--port", type=whole_from(0, 65535), metavar="N", help="TCP port of 127.0.0.1; 0: any free one")
-    parser.add_argument("--folder", type=Path, default=Path(), help="where LOAD and STORE find files (the present one)")
-    parser.add_argument("--baud", type=whole_from(300, 115200), metavar="N", help="pace of the line, 8N1 (none)")
+    parser.add_argument(
+        "--port",
+        type=whole_from(0, 65535),
+        metavar="N",
+        help="TCP port of 127.0.0.1; 0: any free one",
+    )
+    parser.add_argument(
+        "--folder",
+        type=Path,
+        default=Path(),
+        help="where LOAD and STORE find files (the present one)",
+    )
+    parser.add_argument(
+        "--baud", type=whole_from(300, 115200), metavar="N", help="pace of the line, 8N1 (none)"
+    )
     add_robot_arguments(parser)
 
 
@@ -58,7 +76,9 @@ def _nodes(options: argparse.Namespace) -> None:
     from rx90_controller.node.program_client import ProgramClient
     from rx90_emulator.vplus.cell import Cell
 
-    with client_node("rx90_monitor", options.timeout or _TIMEOUT, print, options.ros_args) as client:
+    with client_node(
+        "rx90_monitor", options.timeout or _TIMEOUT, print, options.ros_args
+    ) as client:
         nodes = ProgramClient(client, node_of(options), setup.robot.joint_names)
         cell = Cell(setup, nodes)
         cell.publish = nodes.signals(cell.receive)

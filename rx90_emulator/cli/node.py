@@ -19,7 +19,9 @@ NODES = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Accept arguments for ROS alone."""
-    parser.usage = f"{parser.prog} [--ros-args [-p NAME:=VALUE ...] [-r FROM:=TO ...] [--params-file FILE]]"
+    parser.usage = (
+        f"{parser.prog} [--ros-args [-p NAME:=VALUE ...] [-r FROM:=TO ...] [--params-file FILE]]"
+    )
     parser.set_defaults(module=NODES[parser.prog], ros_args=[])
 
 

@@ -37,7 +37,9 @@ _BAR = "{desc}: {percentage:3.0f} % |{bar}| [{elapsed}<{remaining}]"
 CONTROLLER = "rx90_controller"
 """Name of the controller node, unless another one is given."""
 URDF = "its URDF with <inertial>, no xacro"
-_JOINTS = "the URDF's joints of interest from base to tip; the others are held at 0 (all movable ones)"
+_JOINTS = (
+    "the URDF's joints of interest from base to tip; the others are held at 0 (all movable ones)"
+)
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -56,7 +58,9 @@ class CommandParser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Refuse the command line in one line; words of it are quoted in the message as they are."""
-        self.exit(REFUSED, f"{self.prog}: {one_line(message)}; {self.prog} --help says what is accepted\n")
+        self.exit(
+            REFUSED, f"{self.prog}: {one_line(message)}; {self.prog} --help says what is accepted\n"
+        )
 
 
 def command_of(name: str) -> tuple[CommandParser, Callable[[Any], int | None]]:
@@ -133,7 +137,9 @@ def place(text: str) -> Path:
     """Return the path of a file to be written, as a type for argparse: refused at once if it cannot be written."""
     path = Path(text)
     if not path.absolute().parent.exists():
-        raise ConfigError(f"{plain(path)}: the folder {plain(path.parent)} does not exist; accepted: one that does")
+        raise ConfigError(
+            f"{plain(path)}: the folder {plain(path.parent)} does not exist; accepted: one that does"
+        )
     check_place(path)
     return path
 
@@ -185,7 +191,9 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
         yield show
 
 
-def add_output(parser: argparse._ActionsContainer, kind: Callable[[str], Path], text: str, **more: Any) -> None:
+def add_output(
+    parser: argparse._ActionsContainer, kind: Callable[[str], Path], text: str, **more: Any
+) -> None:
     """Add --output, what a command writes: a `place`, a `new_file` or a `new_folder`."""
     parser.add_argument("-o", "--output", type=kind, help=text, **more)
 
@@ -202,7 +210,9 @@ def add_plot(parser: argparse.ArgumentParser, kind: Callable[[str], Path], text:
 
 def add_slow_only(parser: argparse.ArgumentParser) -> None:
     """Add --slow-only, without which what is written holds the topics of the base rate, too."""
-    parser.add_argument("--slow-only", action="store_true", help="leave the two 4 kHz topics out of what is written")
+    parser.add_argument(
+        "--slow-only", action="store_true", help="leave the two 4 kHz topics out of what is written"
+    )
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
@@ -213,14 +223,22 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 def add_rate(parser: argparse._ActionsContainer) -> None:
     """Add --rate, of set-points."""
     parser.add_argument(
-        "--rate", type=POSITIVE, default=1000.0, metavar="HZ", help="of the set-points, Hz (%(default)g)"
+        "--rate",
+        type=POSITIVE,
+        default=1000.0,
+        metavar="HZ",
+        help="of the set-points, Hz (%(default)g)",
     )
 
 
 def add_start_time(parser: argparse._ActionsContainer, default: str) -> None:
     """Add --start-time, of a motion."""
     parser.add_argument(
-        "--start-time", type=FINITE, default=0.0, metavar="S", help=f"when the motion starts, s ({default})"
+        "--start-time",
+        type=FINITE,
+        default=0.0,
+        metavar="S",
+        help=f"when the motion starts, s ({default})",
     )
 
 
@@ -229,12 +247,16 @@ def add_rig_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", default=SHIPPED_RIG, metavar="FILE", help="rig file (%(default)s)")
 
 
-Verb = tuple[Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int | None], str]
+Verb = tuple[
+    Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int | None], str
+]
 """A verb of a command: the function that adds its arguments; the function that runs it, whose name is the verb and
 whose docstring is the description; its line in --help."""
 
 
-def add_verbs(parser: argparse.ArgumentParser, verbs: Sequence[Verb], required: bool = True) -> None:
+def add_verbs(
+    parser: argparse.ArgumentParser, verbs: Sequence[Verb], required: bool = True
+) -> None:
     """Add a parser for each verb, whose function `options.run` then is."""
     added = parser.add_subparsers(dest="verb", required=required, metavar="VERB")
     for add, run, text in verbs:
@@ -252,10 +274,14 @@ def add_robot_argument(parser: argparse._ActionsContainer) -> None:
 
 def add_robot_arguments(parser: argparse.ArgumentParser, *names: str) -> None:
     """Add --robot, and the options that name single files of it, by default the model's; `RobotFiles.of_options`."""
-    robot = parser.add_argument_group("robot", "a robot folder, and single files instead of those in it")
+    robot = parser.add_argument_group(
+        "robot", "a robot folder, and single files instead of those in it"
+    )
     add_robot_argument(robot)
     for name in names or MODEL_FILES:
-        robot.add_argument(f"--{name}", metavar="FILE", help=f"{DESCRIPTIONS[name]} (the robot's {FILES[name]})")
+        robot.add_argument(
+            f"--{name}", metavar="FILE", help=f"{DESCRIPTIONS[name]} (the robot's {FILES[name]})"
+        )
 
 
 def add_page_arguments(group: argparse._ActionsContainer, port: int) -> None:
@@ -264,13 +290,17 @@ def add_page_arguments(group: argparse._ActionsContainer, port: int) -> None:
                        help="to serve the page on; 0.0.0.0 shows it to other machines, too (127.0.0.1: to this one "
                        "alone)")  # fmt: skip
     group.add_argument("--port", type=_PORT, metavar="N", help=f"0: any free one ({port})")
-    group.add_argument("--no-browser", action="store_true", help="print the address and open no browser")
+    group.add_argument(
+        "--no-browser", action="store_true", help="print the address and open no browser"
+    )
 
 
 def add_node_arguments(group: argparse._ActionsContainer, timeout: float) -> None:
     """Add the options of a command that talks to running nodes; None for what was not given."""
     group.add_argument("--node", metavar="NAME", help=f"controller node ({CONTROLLER})")
-    group.add_argument("--timeout", type=POSITIVE, metavar="S", help=f"s to wait for the nodes ({timeout:g})")
+    group.add_argument(
+        "--timeout", type=POSITIVE, metavar="S", help=f"s to wait for the nodes ({timeout:g})"
+    )
 
 
 def node_of(options: argparse.Namespace) -> str:
@@ -290,7 +320,9 @@ def add_arm_arguments(parser: argparse.ArgumentParser) -> None:
         "another robot", "n is the number of joints; lists follow --joints. SI units, and gravity along -z of the "
         "URDF's root link."
     )  # fmt: skip
-    other.add_argument("--urdf", type=Path, metavar="FILE", help=f"{URDF}; turns the options of this group on")
+    other.add_argument(
+        "--urdf", type=Path, metavar="FILE", help=f"{URDF}; turns the options of this group on"
+    )
     add_joints_argument(other)
     add_message_arguments(other)
     other.add_argument("--rotor-inertia", nargs="+", metavar="J",

@@ -18,7 +18,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument(
-        "path", metavar="PATH", help="path file, or the name of a shipped one, such as paths/circle.yaml"
+        "path",
+        metavar="PATH",
+        help="path file, or the name of a shipped one, such as paths/circle.yaml",
     )
     add_robot_arguments(parser, "urdf", "tool", "controller")
     add_sending(parser)

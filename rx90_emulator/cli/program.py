@@ -53,7 +53,9 @@ def _add_engine(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted="only what is named above was written")
     add_output(parser, new_folder, "bag folder to write; must not exist", metavar="FOLDER")
     add_slow_only(parser)
-    parser.add_argument("--report", type=new_file, metavar="FILE", help="page to write (.html); must not exist")
+    parser.add_argument(
+        "--report", type=new_file, metavar="FILE", help="page to write (.html); must not exist"
+    )
     add_plot(parser, new_file, "picture of the tool's path to write")
 
 
@@ -72,16 +74,31 @@ def _add_file(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("file", metavar="FILE", type=Path, help="file or folder of programs")
     parser.add_argument(
-        "--reading", action="append", default=[], metavar="NAME=VALUE", help="another reading of an uncertain part"
+        "--reading",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="another reading of an uncertain part",
     )
 
 
 def _add_program(parser: argparse.ArgumentParser) -> None:
     _add_file(parser)
-    parser.add_argument("name", metavar="NAME", nargs="?", default="", help="program (the first one)")
-    parser.add_argument("arguments", metavar="ARG", nargs="*", help="its arguments: numbers, other words are strings")
-    parser.add_argument("--inputs", type=Path, metavar="FILE", help="YAML of times at which inputs change")
-    parser.add_argument("--monitor-speed", type=_PERCENT, default=100.0, metavar="PERCENT", help="(%(default)g)")
+    parser.add_argument(
+        "name", metavar="NAME", nargs="?", default="", help="program (the first one)"
+    )
+    parser.add_argument(
+        "arguments",
+        metavar="ARG",
+        nargs="*",
+        help="its arguments: numbers, other words are strings",
+    )
+    parser.add_argument(
+        "--inputs", type=Path, metavar="FILE", help="YAML of times at which inputs change"
+    )
+    parser.add_argument(
+        "--monitor-speed", type=_PERCENT, default=100.0, metavar="PERCENT", help="(%(default)g)"
+    )
     parser.add_argument(
         "--planning",
         type=whole_number,
@@ -90,9 +107,15 @@ def _add_program(parser: argparse.ArgumentParser) -> None:
         help="ms from one planned set-point to the next (16)",
     )
     parser.add_argument(
-        "--idle", type=POSITIVE, default=60.0, metavar="S", help="longest time without a motion, s (60)"
+        "--idle",
+        type=POSITIVE,
+        default=60.0,
+        metavar="S",
+        help="longest time without a motion, s (60)",
     )
-    parser.add_argument("--longest", type=POSITIVE, default=300.0, metavar="S", help="longest run, s (300)")
+    parser.add_argument(
+        "--longest", type=POSITIVE, default=300.0, metavar="S", help="longest run, s (300)"
+    )
     add_robot_arguments(parser)
 
 
@@ -112,7 +135,9 @@ def _engine(options: argparse.Namespace) -> None:
     chosen = _chosen(options, record_fast=options.output is not None and not options.slow_only)
     began = time.perf_counter()
     arguments = tuple(options.arguments)
-    run = run_program(setup, memory, options.name, arguments=arguments, inputs=inputs, options=chosen, show=_show)
+    run = run_program(
+        setup, memory, options.name, arguments=arguments, inputs=inputs, options=chosen, show=_show
+    )
     _tell(run, time.perf_counter() - began)
     _write(run, options)
     if run.error is not None:
@@ -205,7 +230,9 @@ def _on_nodes(
     from rx90_emulator.vplus.cell import Cell
     from rx90_emulator.vplus.run import run_in
 
-    with client_node("rx90_program", options.timeout or _TIMEOUT, print, options.ros_args) as client:
+    with client_node(
+        "rx90_program", options.timeout or _TIMEOUT, print, options.ros_args
+    ) as client:
         nodes = ProgramClient(client, node_of(options), setup.robot.joint_names)
         cell = Cell(setup, nodes, inputs, chosen.period)
         cell.publish = nodes.signals(cell.receive)
@@ -225,11 +252,15 @@ def _readings(words: list[str]) -> Readings:
     for word in words:
         name, equals, value = word.partition("=")
         if not equals or name not in Readings.model_fields:
-            raise ConfigError(f"--reading {quoted(word)}; accepted: NAME=VALUE, of {', '.join(Readings.model_fields)}")
+            raise ConfigError(
+                f"--reading {quoted(word)}; accepted: NAME=VALUE, of {', '.join(Readings.model_fields)}"
+            )
         try:
             given[name] = json.loads(value)
         except ValueError:
-            raise ConfigError(f"--reading {quoted(word)}; accepted: true, false or a number behind the =") from None
+            raise ConfigError(
+                f"--reading {quoted(word)}; accepted: true, false or a number behind the ="
+            ) from None
     return Readings().replaced(**given)
 
 

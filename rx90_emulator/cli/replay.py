@@ -9,12 +9,20 @@ from functools import partial
 from pathlib import Path
 
 from rx90_common.base.quoting import one_line
-from rx90_emulator.cli.run import add_initial_position, add_run_arguments, check_count, finish, setup_of
+from rx90_emulator.cli.run import (
+    add_initial_position,
+    add_run_arguments,
+    check_count,
+    finish,
+    setup_of,
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("bag", type=Path, metavar="BAG", help="bag: folder, .mcap, .db3 or ROS 1 .bag file")
+    parser.add_argument(
+        "bag", type=Path, metavar="BAG", help="bag: folder, .mcap, .db3 or ROS 1 .bag file"
+    )
     add_initial_position(parser, "the first joint_states")
     add_run_arguments(parser)
 
@@ -27,16 +35,24 @@ def main(options: argparse.Namespace) -> None:
     setup = setup_of(options)
     check_count(options.initial_position, setup)
     recorded = read_run(options.bag, setup, options.initial_position)
-    starts = ", ".join(f"{command.start * setup.rates.position_period:.3f} s" for command in recorded.commands)
+    starts = ", ".join(
+        f"{command.start * setup.rates.position_period:.3f} s" for command in recorded.commands
+    )
     print(f"trajectories in {one_line(options.bag)}: {len(recorded.commands)}, from {starts}")
     if options.seed is None:
-        print("seed 0: the bag tells none" if recorded.seed is None else f"seed {recorded.seed}, as the bag tells")
+        print(
+            "seed 0: the bag tells none"
+            if recorded.seed is None
+            else f"seed {recorded.seed}, as the bag tells"
+        )
     else:
         if recorded.seed not in (None, options.seed):
             _warn(f"the seed of that run was {recorded.seed}; here --seed {options.seed} holds")
         recorded = replace(recorded, seed=options.seed)
     if recorded.changed:
-        _warn(f"{', '.join(recorded.changed)} changed in that run; here the controller file holds throughout")
+        _warn(
+            f"{', '.join(recorded.changed)} changed in that run; here the controller file holds throughout"
+        )
     if recorded.given:
         _warn(
             f"{', '.join(recorded.given)} had other values in that run from its beginning; here the controller "

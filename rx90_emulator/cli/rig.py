@@ -47,20 +47,31 @@ def _selftest(options: argparse.Namespace) -> int:
 
 def _add_ramp(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(files=False, source=False)
-    parser.add_argument("--slopes", type=FINITE, nargs="+", metavar="M", help="slopes, Nm/s (by the first ramp)")
+    parser.add_argument(
+        "--slopes", type=FINITE, nargs="+", metavar="M", help="slopes, Nm/s (by the first ramp)"
+    )
     _add_measuring(parser)
 
 
 def _add_measuring(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--repeats", type=whole_from(1, 1000), metavar="N", help="ramps of each slope")
-    parser.add_argument("--end-torque", type=FINITE, metavar="NM", help="end of each ramp, Nm at the motor")
     parser.add_argument(
-        "--load", choices=("none", "joint", "both"), default="both", help="joint coupled? (%(default)s)"
+        "--repeats", type=whole_from(1, 1000), metavar="N", help="ramps of each slope"
+    )
+    parser.add_argument(
+        "--end-torque", type=FINITE, metavar="NM", help="end of each ramp, Nm at the motor"
+    )
+    parser.add_argument(
+        "--load",
+        choices=("none", "joint", "both"),
+        default="both",
+        help="joint coupled? (%(default)s)",
     )
     parser.set_defaults(interrupted="the rig is switched off")
     _add_line(parser)
     add_rig_argument(parser)
-    parser.add_argument("--clear", action="store_true", help="clear the faults that the rig has latched, then begin")
+    parser.add_argument(
+        "--clear", action="store_true", help="clear the faults that the rig has latched, then begin"
+    )
     add_output(parser, new_folder, "new folder for bag and report (%(default)s)", default="out/friction",
                metavar="FOLDER")  # fmt: skip
     _add_result(parser)
@@ -72,7 +83,11 @@ def _add_line(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_result(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--element", default="joint_6", help="friction element that the joint stands for (%(default)s)")
+    parser.add_argument(
+        "--element",
+        default="joint_6",
+        help="friction element that the joint stands for (%(default)s)",
+    )
     add_robot_argument(parser)
 
 
@@ -98,13 +113,23 @@ def _source(options: argparse.Namespace) -> int:
 
 def _add_read(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(**_NO_MEASURING, files=True, source=False)
-    parser.add_argument("--no-load-file", action="append", default=[], metavar="M:FILE", help="slope and file")
-    parser.add_argument("--loaded-file", action="append", default=[], metavar="M:FILE", help="slope and file")
+    parser.add_argument(
+        "--no-load-file", action="append", default=[], metavar="M:FILE", help="slope and file"
+    )
+    parser.add_argument(
+        "--loaded-file", action="append", default=[], metavar="M:FILE", help="slope and file"
+    )
     parser.add_argument("--text", choices=("increments", "counts", "velocity", "instantaneous-velocity"),
                         help="files are plain text of this kind, not CSV; velocity is the mean since the last reading, "
                         "as pulses give it")  # fmt: skip
     add_rig_argument(parser)
-    add_output(parser, new_folder, "new folder for the report (%(default)s)", default="out/friction", metavar="FOLDER")
+    add_output(
+        parser,
+        new_folder,
+        "new folder for the report (%(default)s)",
+        default="out/friction",
+        metavar="FOLDER",
+    )
     _add_result(parser)
 
 
@@ -117,7 +142,9 @@ def _add_emulator(parser: argparse.ArgumentParser) -> None:
     add_rig_argument(parser)
     parser.add_argument("--link", type=Path, help="symbolic link to make to the pseudo-terminal")
     parser.add_argument("--loaded", action="store_true", help="couple the revolute joint")
-    parser.add_argument("--seed", type=_SEED, default=0, metavar="N", help="of the emulated rig's noise (0)")
+    parser.add_argument(
+        "--seed", type=_SEED, default=0, metavar="N", help="of the emulated rig's noise (0)"
+    )
 
 
 def _emulator(options: argparse.Namespace) -> None:
@@ -130,7 +157,10 @@ def _emulator(options: argparse.Namespace) -> None:
     emulated = EmulatedRig(rig, options.seed)
     emulated.plant.load(options.loaded)
     pty_rig = PtyRig(emulated, options.link)
-    print(f"emulated rig at {options.link or pty_rig.path}, {rig.baud} baud; Ctrl-C ends it", flush=True)
+    print(
+        f"emulated rig at {options.link or pty_rig.path}, {rig.baud} baud; Ctrl-C ends it",
+        flush=True,
+    )
     stop.wait()
     pty_rig.close()
 

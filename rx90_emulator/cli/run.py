@@ -77,12 +77,24 @@ def main(options: argparse.Namespace) -> None:
         points = load_trajectory(motion, setup.robot.joint_names)
         start = points.position[0] if start is None else start
         duration = options.start_time + float(points.times[-1]) + SETTLING
-        finish(partial(closed_loop.simulate, setup, points, start, duration, options.start_time), start, options)
+        finish(
+            partial(closed_loop.simulate, setup, points, start, duration, options.start_time),
+            start,
+            options,
+        )
         return
     if start is not None:
-        raise ConfigError("--initial-position with a line or path, which begins at its start; accepted: a trajectory")
-    task = load_task(RobotFiles.of_options(options).required("task")) if motion is None else load_motion(motion)
-    run = cast("LineRun", _timed(partial(run_path, setup, task, start_time=options.start_time), options))
+        raise ConfigError(
+            "--initial-position with a line or path, which begins at its start; accepted: a trajectory"
+        )
+    task = (
+        load_task(RobotFiles.of_options(options).required("task"))
+        if motion is None
+        else load_motion(motion)
+    )
+    run = cast(
+        "LineRun", _timed(partial(run_path, setup, task, start_time=options.start_time), options)
+    )
     _show_path(run, oriented=not isinstance(task, LineTask))
     _write(run, options)
 
@@ -110,7 +122,9 @@ def check_count(position: Sequence[float] | None, setup: Setup) -> None:
         raise ConfigError(f"--initial-position has {given}; accepted: {joints}, one for each joint")
 
 
-def finish(simulate: Callable[..., RunResult], start: Iterable[float], options: argparse.Namespace) -> None:
+def finish(
+    simulate: Callable[..., RunResult], start: Iterable[float], options: argparse.Namespace
+) -> None:
     """Run a trajectory, show how well it was followed, write what was asked for."""
     from rx90_emulator.loop.line import followed_accuracy
 
@@ -118,7 +132,11 @@ def finish(simulate: Callable[..., RunResult], start: Iterable[float], options: 
     result = _timed(simulate, options)
     slow = result.slow
     times = result.times
-    print(followed_accuracy(result.setup.robot, times, slow.joint_states[:, 0], times, slow.reference[:, 0]).words)
+    print(
+        followed_accuracy(
+            result.setup.robot, times, slow.joint_states[:, 0], times, slow.reference[:, 0]
+        ).words
+    )
     worst = abs(slow.tracking_error[:, 0]).max(axis=0)
     for name, error in zip(result.setup.robot.joint_names, worst, strict=True):
         print(f"{name}: worst tracking error {error * 1e3:.4f} mrad")

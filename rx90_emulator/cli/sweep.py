@@ -31,8 +31,15 @@ def _add_run(run: argparse.ArgumentParser) -> None:
                      "sweep/reference_1000.yaml")  # fmt: skip
     add_output(run, place, "Parquet file to write", metavar="FILE", required=True)
     add_robot_argument(run)
-    run.add_argument("--report", type=new_file, metavar="FILE", help="page on the results to write as well, .html; new")
-    run.add_argument("--resume", action="store_true", help="compute only the runs that the output lacks")
+    run.add_argument(
+        "--report",
+        type=new_file,
+        metavar="FILE",
+        help="page on the results to write as well, .html; new",
+    )
+    run.add_argument(
+        "--resume", action="store_true", help="compute only the runs that the output lacks"
+    )
     run.add_argument("--workers", type=_workers, metavar="N",
                      help="processes on this machine (all cores), or the address of a Dask cluster instead of them, "
                      "such as tcp://host:8786")  # fmt: skip
@@ -65,12 +72,16 @@ def _run(options: argparse.Namespace) -> None:
     )
     elapsed = time.perf_counter() - began
     if counts.computed == 0:
-        print(one_line(f"nothing to do: {options.output} is complete, {counted(len(sweep), 'run')}"))
+        print(
+            one_line(f"nothing to do: {options.output} is complete, {counted(len(sweep), 'run')}")
+        )
     else:
         done = f"{counts.computed} of {counted(len(sweep), 'run')} in {elapsed:.1f} s, {counts.failed} failed"
         why = f" (rx90 sweep info {options.output} says why)" if counts.failed else ""
         print(one_line(f"{done}{why}; {options.output}"))
-    if counts.failed == counts.computed:  # perhaps not one run of the file has results, also of calls before
+    if (
+        counts.failed == counts.computed
+    ):  # perhaps not one run of the file has results, also of calls before
         errors = read_sweep(options.output)["error"]
         if errors.null_count == 0:
             runs = "the run" if len(errors) == 1 else f"each of the {len(errors)} runs"

@@ -62,7 +62,11 @@ def _give_up() -> None:
 def _say_where() -> None:
     kill_all()
     lines = "; ".join(where_threads_are())
-    print(f"rx90 view: did not end within {_END_WITHIN[1]:g} s, and was cut off. {lines}", file=sys.stderr, flush=True)
+    print(
+        f"rx90 view: did not end within {_END_WITHIN[1]:g} s, and was cut off. {lines}",
+        file=sys.stderr,
+        flush=True,
+    )
 
 
 def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> None:
@@ -89,7 +93,11 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
     if options.demo or files.task is not None:
         plan = plan_path(setup, load_motion(files.required("task")))
     line = None if plan is None else plan.task  # as slow as the joints require
-    tour = Tour(options.robot or DEFAULT_ROBOT, setup, plan, controller) if options.demo and plan is not None else None
+    tour = (
+        Tour(options.robot or DEFAULT_ROBOT, setup, plan, controller)
+        if options.demo and plan is not None
+        else None
+    )
     page = Page("rx90_view", options.host, options.port)
     with ExitStack() as ends:
         if tour is not None:

@@ -69,7 +69,9 @@ def kind_of(path: Path, content: Mapping[str, Any]) -> FileKind:
     best = max(KINDS, key=fit)
     known, faults = fit(best)
     if not known and faults:  # as MoveIt's own files
-        raise ConfigError(f"{plain(path)}: of no kind that its keys tell; accepted: --kind with {listed(_NAMES)}")
+        raise ConfigError(
+            f"{plain(path)}: of no kind that its keys tell; accepted: --kind with {listed(_NAMES)}"
+        )
     return best
 
 
@@ -95,12 +97,16 @@ def check_path(path: Path, kind: FileKind | None = None) -> list[CheckedFile]:
 def check_file(path: Path, kind: FileKind | None = None) -> CheckedFile:
     """Check a file by the model of its kind and, if that finds nothing, by its reader."""
     if not path.exists():
-        raise ConfigError(f"{plain(path)}: no such file; accepted: a file of the project, or a robot folder")
+        raise ConfigError(
+            f"{plain(path)}: no such file; accepted: a file of the project, or a robot folder"
+        )
     lines: dict[str, int] = {}
     try:
         content = read_yaml(path, first=True, lines=lines)
     except ConfigError as error:
-        return CheckedFile(path, "unreadable" if kind is None else kind.name, (_with_line(path, error, {}),))
+        return CheckedFile(
+            path, "unreadable" if kind is None else kind.name, (_with_line(path, error, {}),)
+        )
     kind = kind or kind_of(path, content)
     found: list[Rx90Error] = [*kind.faults(path, content)] or _faults_of(lambda: kind.read(path))
     shown = {plain(place): line for place, line in lines.items()} if found else {}
@@ -118,7 +124,11 @@ def _faults_of(read: Callable[[], object]) -> list[Rx90Error]:
 def _with_line(path: Path, error: Rx90Error, lines: Mapping[str, int]) -> str:
     """Return a refusal with the line of the key that it begins with, or that it names."""
     text = str(error).removeprefix(f"{plain(path)}: ")
-    ends = [end for end in range(1, len(text) + 1) if text[:end] in lines and not _MORE_OF_A_KEY.match(text, end)]
+    ends = [
+        end
+        for end in range(1, len(text) + 1)
+        if text[:end] in lines and not _MORE_OF_A_KEY.match(text, end)
+    ]
     named = _LINE.search(text)
     line = f"{lines[text[: max(ends)]]}:" if ends else f"{named[1]}:" if named else ""
     return one_line(f"{plain(path)}:{line} {text}")
@@ -126,7 +136,9 @@ def _with_line(path: Path, error: Rx90Error, lines: Mapping[str, int]) -> str:
 
 def _check_urdf(path: Path) -> CheckedFile:
     return CheckedFile(
-        path, "URDF", tuple(_with_line(path, error, {}) for error in _faults_of(lambda: load_robot(path)))
+        path,
+        "URDF",
+        tuple(_with_line(path, error, {}) for error in _faults_of(lambda: load_robot(path))),
     )
 
 
@@ -150,7 +162,11 @@ def _check_robot(folder: Path) -> list[CheckedFile]:
     Together: names of joints in all files, poses, whether the arm can travel the task's line, missing files.
     """
     files = RobotFiles.named(str(folder))
-    roles = {path: role for role in FILES if role != "urdf" and (path := getattr(files, role)) is not None}
+    roles = {
+        path: role
+        for role in FILES
+        if role != "urdf" and (path := getattr(files, role)) is not None
+    }
     found = [
         check_file(path, kind_named(role))
         if path.is_file()

@@ -54,7 +54,9 @@ class FileKind:
         try:
             self.model.model_validate(content)
         except ValidationError as error:
-            return [ConfigError(line) for line in fault_lines(self.model, error, plain(path), content)]
+            return [
+                ConfigError(line) for line in fault_lines(self.model, error, plain(path), content)
+            ]
         return []
 
     def json_schema(self) -> JsonSchema:
@@ -75,7 +77,9 @@ KINDS = (
     FileKind(
         "trajectory",
         TrajectoryFile,
-        lambda path: load_trajectory(path, read_model(TrajectoryFile, path, first=True).joint_names),
+        lambda path: load_trajectory(
+            path, read_model(TrajectoryFile, path, first=True).joint_names
+        ),
     ),
     FileKind("log_mapping", SignalMapFile, LogMapping.load),
     FileKind("correction", CorrectionHead, load_correction),

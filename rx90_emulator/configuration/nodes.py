@@ -42,7 +42,9 @@ def node_faults(node: str, given: Mapping[str, Any]) -> list[str]:
         others |= {*unused_parameters(given)}
     content: dict[str, Any] = {}
     try:
-        content = model.completed({name: value for name, value in given.items() if name not in others})
+        content = model.completed(
+            {name: value for name, value in given.items() if name not in others}
+        )
         model.model_validate(content).check_files()
     except ValidationError as error:
         return fault_lines(model, error, "", content)
@@ -51,7 +53,9 @@ def node_faults(node: str, given: Mapping[str, Any]) -> list[str]:
     return []
 
 
-def _sections_of(content: Mapping[str, Any], path: Path, above: str = "") -> Iterator[tuple[str, str, dict[str, Any]]]:
+def _sections_of(
+    content: Mapping[str, Any], path: Path, above: str = ""
+) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Yield the name of each node, without its namespace, the place of its parameters, and these by name."""
     for name, section in content.items():
         place = f"{above}{plain(name)}"

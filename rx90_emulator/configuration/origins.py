@@ -71,7 +71,9 @@ def file_values(role: str, path: Path) -> list[ShownValue]:
     content = read_yaml(path, lines=lines)
     schema = kind.json_schema()
     name = place_of(path)
-    identified = content.get("identification", {}).get("parameters", {}) if role == "friction" else {}
+    identified = (
+        content.get("identification", {}).get("parameters", {}) if role == "friction" else {}
+    )
     shown: list[ShownValue] = []
     for place, value, around in _values(kind.model.model_validate(content), content, (), ()):
         key = ".".join(place)
@@ -132,7 +134,9 @@ def _as_identified(one: ShownValue, identified: Mapping[str, Any]) -> ShownValue
     first = next((entry for entry in entries if entry["provenance"] == ASSUMED), entries[0])
     origin = first.get("taken_from")
     reasons = [first.get("reason"), None if origin is None else f"taken from {origin}"]
-    return one._replace(provenance=first["provenance"], source="; ".join(filter(None, reasons)) or one.source)
+    return one._replace(
+        provenance=first["provenance"], source="; ".join(filter(None, reasons)) or one.source
+    )
 
 
 def setup_values(files: RobotFiles, chosen: Mapping[str, str]) -> list[ShownValue]:
@@ -142,7 +146,11 @@ def setup_values(files: RobotFiles, chosen: Mapping[str, str]) -> list[ShownValu
         files: of the robot.
         chosen: where the choice of a file comes from, by its role.
     """
-    found = [ShownValue(f"file.{role}", files.text(role), "", chosen[role]) for role in FILES if role in chosen]
+    found = [
+        ShownValue(f"file.{role}", files.text(role), "", chosen[role])
+        for role in FILES
+        if role in chosen
+    ]
     for role in FILES:
         if role != "urdf" and (path := getattr(files, role)) is not None:
             found += file_values(role, path)
@@ -159,7 +167,9 @@ def setup_values(files: RobotFiles, chosen: Mapping[str, str]) -> list[ShownValu
 
 def steps_value(setup: Setup, substeps: int | None = None) -> ShownValue:
     """Return the steps that the plant of a setup takes in a tick; a ConfigError for too few, or too many unasked."""
-    return ShownValue("plant steps in a tick", setup.plant(substeps).substeps, "1", "by friction, mass and gears")
+    return ShownValue(
+        "plant steps in a tick", setup.plant(substeps).substeps, "1", "by friction, mass and gears"
+    )
 
 
 def rig_values(rig: str, chosen: str) -> list[ShownValue]:
@@ -182,14 +192,21 @@ def values_table(values: Sequence[ShownValue]) -> str:
             mark += f" [{sources.setdefault(one.source, len(sources) + 1)}]"
         rows.append((one.name, _text(one.value), one.unit, one.origin, mark.strip()))
     assumed = sum(one.provenance == ASSUMED for one in values)
-    lines = [*aligned(rows, widest=_MAX_ALIGNED_WIDTH), "", f"{assumed} of {len(values)} values are assumed"]
+    lines = [
+        *aligned(rows, widest=_MAX_ALIGNED_WIDTH),
+        "",
+        f"{assumed} of {len(values)} values are assumed",
+    ]
     lines += [f"[{number}] {' '.join(source.split())}" for source, number in sources.items()]
     return "\n".join(map(one_line, lines))
 
 
 def values_json(values: Sequence[ShownValue]) -> str:
     """Return a list of objects, one for each value."""
-    content = [{**one._asdict(), "value": _plain(one.value), "assumed": one.provenance == ASSUMED} for one in values]
+    content = [
+        {**one._asdict(), "value": _plain(one.value), "assumed": one.provenance == ASSUMED}
+        for one in values
+    ]
     return json.dumps(content, indent=1, ensure_ascii=False)
 
 

@@ -76,9 +76,14 @@ class Nominal(NamedTuple):
         return Setup.load(replace(self.files, **{role: file}))
 
 
-def _scaled(content: Any, keys: Collection[str], factor: float | Array, inside: bool = False) -> Any:
+def _scaled(
+    content: Any, keys: Collection[str], factor: float | Array, inside: bool = False
+) -> Any:
     if isinstance(content, dict):
-        return {key: _scaled(value, keys, factor, inside or key in keys) for key, value in content.items()}
+        return {
+            key: _scaled(value, keys, factor, inside or key in keys)
+            for key, value in content.items()
+        }
     return (np.asarray(content) * factor).tolist() if inside else content
 
 
@@ -94,7 +99,9 @@ def step(nominal: Nominal, name: str) -> Case:
 
 def line(nominal: Nominal, name: str = "line", about: str = "of the nominal arm") -> Case:
     """Follow the robot's reference line, with short rests."""
-    task = replace(load_task(nominal.files.required("task")), rest_before=_LINE_REST, rest_after=_LINE_REST)
+    task = replace(
+        load_task(nominal.files.required("task")), rest_before=_LINE_REST, rest_after=_LINE_REST
+    )
     points = plan_line(nominal.setup, task).points
     about = f"the robot's reference line, in which joints reverse: {about}"
     return Case(name, about, nominal.setup, points, 0.2, metrics.LINE, task)

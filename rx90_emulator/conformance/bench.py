@@ -85,11 +85,17 @@ class _RecordingChannel(Channel):
         self._last_activity = time.monotonic()
         if candidate.set_point_topic is None:
             message = trajectory_message(joints, case.points, START)
-            self._due: deque[tuple[int, Any]] = deque([(case.setup.rates.ticks_of(START / 2.0), message)])
-            self._giver = node.create_publisher(type(message), controller_topic(node, candidate.node), TRAJECTORY_QOS)
+            self._due: deque[tuple[int, Any]] = deque(
+                [(case.setup.rates.ticks_of(START / 2.0), message)]
+            )
+            self._giver = node.create_publisher(
+                type(message), controller_topic(node, candidate.node), TRAJECTORY_QOS
+            )
         else:
             self._due = deque(_set_points(case))
-            self._giver = node.create_publisher(self.publisher.msg_type, candidate.set_point_topic, STATE_QOS)
+            self._giver = node.create_publisher(
+                self.publisher.msg_type, candidate.set_point_topic, STATE_QOS
+            )
 
     def publish(self, raw: bytes) -> None:
         """Publish states, after the set-points that are due before them."""
@@ -123,7 +129,9 @@ class _RecordingChannel(Channel):
         stamp, _, _, effort = self._commands.decode(raw)
         if stamp == self._stamp and self._position is not None:
             self._last_activity = time.monotonic()
-            self._record.note(stamp // self._record.case.setup.rates.period_ns, self._position, effort)
+            self._record.note(
+                stamp // self._record.case.setup.rates.period_ns, self._position, effort
+            )
         return raw
 
     def _check_controller(self) -> None:
@@ -161,7 +169,9 @@ def run_on_topics(case: Case, candidate: Candidate, folder: Path) -> Record:
         KeyboardInterrupt: after Ctrl-C.
     """
     parameters = folder / f"{case.name}.yaml"
-    write_text(parameters, yaml_text({"/**/rx90_sim": {"ros__parameters": _parameters(case, candidate)}}))
+    write_text(
+        parameters, yaml_text({"/**/rx90_sim": {"ros__parameters": _parameters(case, candidate)}})
+    )
     namespace = candidate.node.strip("/").rpartition("/")[0]
     arguments = ["--ros-args", "--log-level", "rx90_sim:=warn", "--params-file", str(parameters)]
     arguments += ["-r", f"__ns:=/{namespace}"]
@@ -172,7 +182,9 @@ def run_on_topics(case: Case, candidate: Candidate, folder: Path) -> Record:
         child = group.start(case.name, candidate.command) if candidate.command else None
 
         def make_channel(*endpoints: Any) -> Channel:
-            channels.append(_RecordingChannel(record, candidate, child, check_interrupt, *endpoints))
+            channels.append(
+                _RecordingChannel(record, candidate, child, check_interrupt, *endpoints)
+            )
             return channels[-1]
 
         try:

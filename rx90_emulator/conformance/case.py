@@ -147,4 +147,7 @@ class Record:
         points = self.case.set_points[:, 0]
         rates = self.case.setup.rates
         at = np.arange(len(points)) * rates.position_period
-        return np.column_stack([np.interp(self.times, at, joint) for joint in points.T]) - self.position
+        return (
+            np.column_stack([np.interp(self.times, at, joint) for joint in points.T])
+            - self.position
+        )

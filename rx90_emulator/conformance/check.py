@@ -54,9 +54,13 @@ class CaseResult:
         for metric in case.metrics if self.record.complete else (TORQUE_OFF,):
             values = metric.measure(self.record).tolist()
             joints = case.setup.robot.joint_names if len(values) > 1 else ("tool",)
-            for joint, value, cs7b in zip(joints, values, metric.measure(self.cs7b).tolist(), strict=True):
+            for joint, value, cs7b in zip(
+                joints, values, metric.measure(self.cs7b).tolist(), strict=True
+            ):
                 limit = metric.factor * cs7b + metric.allowance
-                found.append(Finding(case.name, metric.name, joint, value, cs7b, limit, metric.unit))
+                found.append(
+                    Finding(case.name, metric.name, joint, value, cs7b, limit, metric.unit)
+                )
         return found
 
 
@@ -73,12 +77,18 @@ class CheckResult:
         """Return for each case and quantity the joint nearest to its limit, or furthest beyond."""
         rows = [row for case in self.cases for row in case.findings]
         # Of rows with the same case and quantity the dictionary keeps the last, here the nearest to its limit.
-        return list({row[:2]: row for row in sorted(rows, key=lambda row: row.value - row.limit)}.values())
+        return list(
+            {row[:2]: row for row in sorted(rows, key=lambda row: row.value - row.limit)}.values()
+        )
 
     @property
     def deciding(self) -> list[str]:
         """Return what decided: why runs ended early, and for each exceeded limit the joint furthest beyond."""
-        faults = [f"{case.record.case.name}: {case.record.fault}" for case in self.cases if case.record.fault]
+        faults = [
+            f"{case.record.case.name}: {case.record.fault}"
+            for case in self.cases
+            if case.record.fault
+        ]
         return faults + [row.words for row in self.nearest if row.value > row.limit]
 
     @property
@@ -91,7 +101,9 @@ class CheckResult:
     def json(self) -> str:
         """Return the result as JSON."""
         rows = [row._asdict() for case in self.cases for row in case.findings]
-        return json.dumps({"controller": self.controller, "passed": not self.deciding, "findings": rows}, indent=1)
+        return json.dumps(
+            {"controller": self.controller, "passed": not self.deciding, "findings": rows}, indent=1
+        )
 
     @property
     def page(self) -> str:
@@ -100,12 +112,20 @@ class CheckResult:
         provenance = provenance_of(self.nominal.files)
         plots = [errors(case.record, case.cs7b) for case in self.cases]
         return render_page(
-            "rx90_emulator.conformance", "check.html.j2", result=self, provenance=provenance, plots=plots
+            "rx90_emulator.conformance",
+            "check.html.j2",
+            result=self,
+            provenance=provenance,
+            plots=plots,
         )
 
 
 def check_controller(
-    candidate: Candidate, nominal: Setup, names: Sequence[str], folder: Path, progress: Callable[[int, int], None]
+    candidate: Candidate,
+    nominal: Setup,
+    names: Sequence[str],
+    folder: Path,
+    progress: Callable[[int, int], None],
 ) -> CheckResult:
     """Run cases with a controller and with the CS7B.
 
@@ -126,4 +146,6 @@ def check_controller(
     for case in cases:
         progress(len(results), len(cases))
         results.append(CaseResult(run_on_topics(case, candidate, folder), run_cs7b(case, nominal)))
-    return CheckResult(" ".join(candidate.command) or f"the node {candidate.node}", nominal, results)
+    return CheckResult(
+        " ".join(candidate.command) or f"the node {candidate.node}", nominal, results
+    )

@@ -41,7 +41,9 @@ def _error_rms(record: Record) -> Array:
 
 def _ripple(record: Record) -> Array:
     torque = np.nan_to_num(_moving(record, record.torque))
-    return _rms(torque - uniform_filter1d(torque, max(1, round(_RIPPLE_WINDOW / record.period)), axis=0))
+    return _rms(
+        torque - uniform_filter1d(torque, max(1, round(_RIPPLE_WINDOW / record.period)), axis=0)
+    )
 
 
 def _path_error(record: Record) -> Array:
@@ -72,22 +74,45 @@ def _hunting(record: Record) -> Array:
 
 
 TORQUE_OFF = Metric("torque_off", "s", "time without torque", _torque_off)
-REST_ERROR = Metric("rest_error", "rad", "what is left of the error in the last 0.1 s", _rest_error, allowance=3e-4)
+REST_ERROR = Metric(
+    "rest_error", "rad", "what is left of the error in the last 0.1 s", _rest_error, allowance=3e-4
+)
 TRACKING = (
     TORQUE_OFF,
-    Metric("tracking_error_peak", "rad", "largest error of the joint's position", _error_peak, 3.0, 1e-4),
+    Metric(
+        "tracking_error_peak",
+        "rad",
+        "largest error of the joint's position",
+        _error_peak,
+        3.0,
+        1e-4,
+    ),
     Metric("tracking_error_rms", "rad", "its root mean square", _error_rms, 3.0, 1e-4),
-    Metric("torque_ripple", "Nm", "commanded torque less its mean over 20 ms, RMS", _ripple, 3.0, 0.2),
+    Metric(
+        "torque_ripple", "Nm", "commanded torque less its mean over 20 ms, RMS", _ripple, 3.0, 0.2
+    ),
 )
-LINE = (*TRACKING, Metric("path_error", "m", "largest distance of the tool from its line", _path_error, 3.0, 5e-5))
+LINE = (
+    *TRACKING,
+    Metric("path_error", "m", "largest distance of the tool from its line", _path_error, 3.0, 5e-5),
+)
 STEP = (
     *TRACKING,
     REST_ERROR,
     Metric("overshoot", "1", "beyond the end of the step, over its way", _overshoot, 3.0, 0.1),
-    Metric("settling_time", "s", "from the end of the step until it stays within 2 %", _settling, 3.0, 0.3),
+    Metric(
+        "settling_time",
+        "s",
+        "from the end of the step until it stays within 2 %",
+        _settling,
+        3.0,
+        0.3,
+    ),
 )
 REST = (
     *TRACKING,
     REST_ERROR,
-    Metric("hunting", "rad", "motion at rest in the last 5 s, peak to peak", _hunting, allowance=1e-4),
+    Metric(
+        "hunting", "rad", "motion at rest in the last 5 s, peak to peak", _hunting, allowance=1e-4
+    ),
 )

@@ -14,7 +14,15 @@ from pydantic import Field
 from rx90_common.bags.limits import load_arrays
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, ConfigError, TrajectoryError, warn_caller
-from rx90_common.base.models import FileModel, NotNegative, PerJoint, Triple, model_text, quantity, read_model
+from rx90_common.base.models import (
+    FileModel,
+    NotNegative,
+    PerJoint,
+    Triple,
+    model_text,
+    quantity,
+    read_model,
+)
 from rx90_common.base.quoting import counted, plain
 from rx90_common.process.files import write_all
 from rx90_controller.trajectory.correction import Correction, LearnedMotion
@@ -64,7 +72,8 @@ class CorrectionHead(FileModel):
     period: Annotated[float, quantity("s", "From one offset to the next.", gt=0.0)]
     method: Annotated[str, Field(description="How it was learned, with the options.")]
     seen: Annotated[
-        tuple[Measurement, ...], Field(strict=False, description="By what each trial was measured, and where.")
+        tuple[Measurement, ...],
+        Field(strict=False, description="By what each trial was measured, and where."),
     ]
     worst: Annotated[
         tuple[NotNegative, ...],
@@ -103,7 +112,10 @@ class CorrectionFile:
 
     def last_worst(self, how: str) -> tuple[float, ...]:
         """Return the worst distances of the last trials, m, as far back as all of them were measured in this way."""
-        first = max((k + 1 for k, measurement in enumerate(self.measurements) if measurement != how), default=0)
+        first = max(
+            (k + 1 for k, measurement in enumerate(self.measurements) if measurement != how),
+            default=0,
+        )
         return self.worst[first:]
 
     def fitting(self, setup: Setup, path: CorrectablePath) -> Correction:
@@ -130,7 +142,9 @@ class CorrectionFile:
         return self.correction
 
 
-def write_correction(learned: LearnedCorrection, file: Path | str, earlier: CorrectionFile | None = None) -> None:
+def write_correction(
+    learned: LearnedCorrection, file: Path | str, earlier: CorrectionFile | None = None
+) -> None:
     """Write a correction file, `FILE.yaml` with `FILE.npz` beside it: both or none.
 
     Args:
@@ -150,7 +164,10 @@ def write_correction(learned: LearnedCorrection, file: Path | str, earlier: Corr
         measurements = [*earlier.measurements, *measurements]
     buffer = io.BytesIO()
     np.savez_compressed(buffer, offsets=learned.correction.offsets, best=learned.best_offsets)
-    options = [f"{key} {'none' if value is None else f'{value:g}'}" for key, value in asdict(learned.method).items()]
+    options = [
+        f"{key} {'none' if value is None else f'{value:g}'}"
+        for key, value in asdict(learned.method).items()
+    ]
     motion = asdict(learned_motion(learned.setup, learned.path.points))
     content = CorrectionHead.model_validate(
         {
@@ -171,7 +188,9 @@ def correction_files(name: Path | str) -> tuple[Path, Path]:
     """Return head and offsets of a correction file."""
     head = Path(name)
     if head.suffix != ".yaml":
-        raise ConfigError(f"{plain(head)}: cannot be a correction file; accepted: a name with .yaml")
+        raise ConfigError(
+            f"{plain(head)}: cannot be a correction file; accepted: a name with .yaml"
+        )
     return head, head.with_suffix(".npz")
 
 
@@ -190,10 +209,14 @@ def load_correction(name: Path | str) -> CorrectionFile:
         arrays = load_arrays(offsets_file)
         if "best" not in arrays:
             raise KeyError("best is not a file in the archive")
-        correction = Correction(np.asarray(arrays["offsets"], dtype=np.float64), head.period, motion)
+        correction = Correction(
+            np.asarray(arrays["offsets"], dtype=np.float64), head.period, motion
+        )
         best = Correction(np.asarray(arrays["best"], dtype=np.float64), head.period).offsets
     except (BagError, KeyError, ValueError, TrajectoryError) as error:
-        raise ConfigError(f"{plain(offsets_file)}: {error}; accepted: the file written with {plain(file)}") from error
+        raise ConfigError(
+            f"{plain(offsets_file)}: {error}; accepted: the file written with {plain(file)}"
+        ) from error
     shape = correction.offsets.shape
     trials = len(head.worst), len(head.seen)
     if best.shape != shape or shape[1] != len(path.start) or trials[0] != trials[1]:

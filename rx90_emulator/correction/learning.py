@@ -45,7 +45,12 @@ ENGINE = "engine"
 NODES = "nodes"
 RECORD = "record"
 Measurement: TypeAlias = Literal[
-    "encoders, engine", "encoders, nodes", "encoders, record", "tip, engine", "tip, nodes", "tip, record"
+    "encoders, engine",
+    "encoders, nodes",
+    "encoders, record",
+    "tip, engine",
+    "tip, nodes",
+    "tip, record",
 ]
 """By what and where a trial was measured; path errors that were measured in another way cannot be compared."""
 _LONGEST = 600_000  # set-points: the feedback of norm-optimal takes 1.5 kB for each
@@ -133,7 +138,9 @@ class Learner:
         self.noise = noise
         period = setup.rates.position_period
         if not path.points.times[-1] <= _LONGEST * period:
-            raise ConfigError(f"a path of {path.points.times[-1]:g} s; accepted: up to {_LONGEST * period:g} s")
+            raise ConfigError(
+                f"a path of {path.points.times[-1]:g} s; accepted: up to {_LONGEST * period:g} s"
+            )
         self.nominal = TrajectoryPath.of(setup, path.points, path.counted)
         shape = len(self.nominal.counts), len(setup.robot.joint_names)
         self.offsets = np.zeros(shape) if previous is None else np.array(previous, dtype=np.float64)
@@ -155,7 +162,11 @@ class Learner:
         """
         self._least = min(worst)
         self.best = np.asarray(best)
-        self._worse = len(worst) - 1 - max(k for k, error in enumerate(worst) if error <= self._least + self.noise)
+        self._worse = (
+            len(worst)
+            - 1
+            - max(k for k, error in enumerate(worst) if error <= self._least + self.noise)
+        )
         self._gain = 0.5**self._worse
 
     def measurement(self, where: str) -> str:
@@ -193,7 +204,9 @@ class Learner:
         """
         error = measured.tip if self.tip else measured.joints
         if error is None:
-            raise ConfigError("the tip was not measured; accepted: its path, or learning from the encoders")
+            raise ConfigError(
+                "the tip was not measured; accepted: its path, or learning from the encoders"
+            )
         if error.shape[0] != len(self.nominal.counts) or not np.isfinite(error).all():
             raise ConfigError(
                 f"errors of shape {error.shape}, finite: {bool(np.isfinite(error).all())}; accepted: finite numbers on "
@@ -256,7 +269,9 @@ class LearnedCorrection:
     remark: str = ""
 
     @classmethod
-    def of(cls, learner: Learner, where: str, offsets: Array, remark: str = "") -> LearnedCorrection:
+    def of(
+        cls, learner: Learner, where: str, offsets: Array, remark: str = ""
+    ) -> LearnedCorrection:
         """Return the result of a learner with trials at `where`, and the offsets to be played, rad."""
         motion = learned_motion(learner.setup, learner.path.points)
         played = Correction(offsets, learner.nominal.period, motion)
@@ -324,10 +339,16 @@ def run_corrected(
     """
     period = setup.rates.position_period
     lead = math.ceil(max(0.0, _SETTLING_S - path.counted[0]) / period)
-    trajectory = path if isinstance(path, TrajectoryPath) else TrajectoryPath.of(setup, path.points, path.counted)
+    trajectory = (
+        path
+        if isinstance(path, TrajectoryPath)
+        else TrajectoryPath.of(setup, path.points, path.counted)
+    )
     count = len(trajectory.counts)
     duration = (lead + count) * period
-    run = simulate(setup, path.points, start_time=lead * period, duration=duration, correction=correction)
+    run = simulate(
+        setup, path.points, start_time=lead * period, duration=duration, correction=correction
+    )
     rows = slice(lead, lead + count)
     offsets = run.slow.correction[rows] if len(run.slow.correction) else 0.0
     tip = tip_position(setup.robot.chain, run.slow.joint_states[rows, 0])
@@ -371,8 +392,18 @@ def learn_correction(
         check_correction(model or setup, planned.points, previous, "the correction")
         before = previous.offsets
     learner = Learner(model or setup, planned, method, tip=tip, noise=noise, previous=before)
-    trajectory = learner.nominal if model is None else TrajectoryPath.of(setup, planned.points, planned.counted)
-    return learn(learner, lambda played: run_corrected(setup, trajectory, played)[1], trials, ENGINE, on_trial)
+    trajectory = (
+        learner.nominal
+        if model is None
+        else TrajectoryPath.of(setup, planned.points, planned.counted)
+    )
+    return learn(
+        learner,
+        lambda played: run_corrected(setup, trajectory, played)[1],
+        trials,
+        ENGINE,
+        on_trial,
+    )
 
 
 def summary(trials: Iterable[TrialRecord]) -> str:

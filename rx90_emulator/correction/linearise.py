@@ -30,7 +30,11 @@ class Linearisation(NamedTuple):
 
 
 def linearise(
-    robot: RobotModel, drives: DriveParameters, position: Array, velocity: Array, acceleration: Array
+    robot: RobotModel,
+    drives: DriveParameters,
+    position: Array,
+    velocity: Array,
+    acceleration: Array,
 ) -> Linearisation:
     """Return M0, C0 and K0 at n points of a motion.
 
@@ -47,7 +51,9 @@ def linearise(
     damping = np.empty_like(mass)
     stiffness = np.empty_like(mass)
     for n, state in enumerate(zip(position, velocity, acceleration, strict=True)):
-        by_position, by_velocity, by_acceleration = pin.computeRNEADerivatives(robot.model, data, *state)
+        by_position, by_velocity, by_acceleration = pin.computeRNEADerivatives(
+            robot.model, data, *state
+        )
         upper = np.triu(by_acceleration)
         mass[n] = upper + np.triu(upper, 1).T
         damping[n] = by_velocity

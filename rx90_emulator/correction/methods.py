@@ -73,10 +73,16 @@ class NormOptimal:
     cutoff: float | None = None
 
     def __post_init__(self) -> None:
-        for name, most, unit in (("effort", 1e3, "m/rad"), ("joints", 1e3, "m/rad"), ("cutoff", 1e6, "Hz")):
+        for name, most, unit in (
+            ("effort", 1e3, "m/rad"),
+            ("joints", 1e3, "m/rad"),
+            ("cutoff", 1e6, "Hz"),
+        ):
             value = getattr(self, name)
             if value is not None and not 0.0 < value <= most:
-                raise ConfigError(f"{name} is {value:g} {unit}; accepted: a number > 0, up to {most:g}")
+                raise ConfigError(
+                    f"{name} is {value:g} {unit}; accepted: a number > 0, up to {most:g}"
+                )
 
     def prepare(self, setup: Setup, nominal: TrajectoryPath, *, tip: bool) -> Update:
         """Return the update along a motion, from the error of the tip or from those of the encoders."""
@@ -110,11 +116,15 @@ def lead_in(nominal: TrajectoryPath) -> Array:
 def zero_phase(cutoff: float, period: float) -> Callable[[Array], Array]:
     """Return a low-pass filter of rows, run forwards and backwards, which extends its input by its last value."""
     if not cutoff < 0.5 / period:
-        raise ConfigError(f"cutoff is {cutoff:g} Hz; accepted: below {0.5 / period:g} Hz, half the rate of set-points")
+        raise ConfigError(
+            f"cutoff is {cutoff:g} Hz; accepted: below {0.5 / period:g} Hz, half the rate of set-points"
+        )
     from scipy.signal import butter, sosfiltfilt  # takes a while
 
     sections = butter(_ORDER, cutoff, fs=1.0 / period, output="sos")
-    return lambda rows: np.ascontiguousarray(sosfiltfilt(sections, rows, axis=0, padtype="constant"))
+    return lambda rows: np.ascontiguousarray(
+        sosfiltfilt(sections, rows, axis=0, padtype="constant")
+    )
 
 
 def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
@@ -130,13 +140,17 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
     period = setup.rates.position_period
     stride = max(1, round(SPACING / period))
     at = slice(None, None, stride)
-    linear = linearise(setup.robot, setup.drives, setpoints[at, 0], setpoints[at, 1], setpoints[at, 2])
+    linear = linearise(
+        setup.robot, setup.drives, setpoints[at, 0], setpoints[at, 1], setpoints[at, 2]
+    )
     turns = setup.drives.turning.turns
     elements = setup.drives.turning.element_matrix
     joints = setpoints.shape[2]
     viscous = elements.T @ np.diag([element.c2 for element in setup.friction.elements]) @ elements
     # The velocity observer, critically damped, lags by twice its time constant; a set-point is constant for its period.
-    lag = (1.0 / controller.current_loop.bandwidth + 2.0 / setup.drives.velocity_bandwidth) / (2.0 * math.pi)
+    lag = (1.0 / controller.current_loop.bandwidth + 2.0 / setup.drives.velocity_bandwidth) / (
+        2.0 * math.pi
+    )
     lag += 0.5 * setup.rates.period
     proportional = np.diag(controller.inertia * (controller.kv * controller.kp)) @ turns
     derivative = np.diag(controller.inertia * controller.kv) @ turns
@@ -144,7 +158,9 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
     inverse = np.linalg.inv(linear.mass)
     q, v, i, tau, c = (slice(k, k + joints) for k in range(0, 5 * joints, joints))
     one = np.eye(joints)
-    rates = np.zeros((len(inverse), 5 * joints, 5 * joints))  # of the states, and of the offsets, which are constant
+    rates = np.zeros(
+        (len(inverse), 5 * joints, 5 * joints)
+    )  # of the states, and of the offsets, which are constant
     rates[:, q, v] = one
     rates[:, v, q] = -inverse @ linear.stiffness
     rates[:, v, v] = -inverse @ (linear.damping + viscous)
@@ -163,7 +179,9 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
     return step[:, states, states], step[:, states, c], stride
 
 
-def gains(a: Array, b: Array, stride: int, error: Array, change: float, counted: Array) -> tuple[Array, Array]:
+def gains(
+    a: Array, b: Array, stride: int, error: Array, change: float, counted: Array
+) -> tuple[Array, Array]:
     """Return the feedback K, shape (m, n, 4n), and the inverses of R + B' P B, shape (m, n, n): the Riccati recursion.
 
     Args:
@@ -193,7 +211,9 @@ def gains(a: Array, b: Array, stride: int, error: Array, change: float, counted:
     return feedback, inverse
 
 
-def best_change(a: Array, b: Array, stride: int, feedback: Array, inverse: Array, weighted: Array) -> Array:
+def best_change(
+    a: Array, b: Array, stride: int, feedback: Array, inverse: Array, weighted: Array
+) -> Array:
     """Return the change of the correction, rad, shape (m, n).
 
     Args:

@@ -26,7 +26,9 @@ from rx90_emulator.identification.experiments.nodes import follow_trajectory
 # share of the joints' speeds; rad/s^2: as rx90 line's
 _APPROACH_SPEED = 0.25
 _APPROACH_ACCELERATION = 2.0
-_REST_S = 0.5  # s at the start of the path: the integrators take some 0.1 s, then the arm is at rest
+_REST_S = (
+    0.5  # s at the start of the path: the integrators take some 0.1 s, then the arm is at rest
+)
 _SENSOR = 0.5  # s, longest lag of a sensor of the tip: a camera with its evaluation
 _GRACE = 20.0  # s for a recorder to write its messages
 
@@ -60,12 +62,21 @@ def node_trials(
         trajectory = TrajectoryClient(client, controller)
         trajectory.wait_for_controller()
         set_points = trajectory.set_points(robot.joint_names)
-        follow = partial(follow_trajectory, client, trajectory, robot.joint_names, set_points, show=lambda _: None)
+        follow = partial(
+            follow_trajectory,
+            client,
+            trajectory,
+            robot.joint_names,
+            set_points,
+            show=lambda _: None,
+        )
         numbers = count()
 
         def approach() -> None:
             motion = Motion(np.asarray(set_points.position))
-            motion.move(points.position[0], robot.max_velocity * _APPROACH_SPEED, _APPROACH_ACCELERATION)
+            motion.move(
+                points.position[0], robot.max_velocity * _APPROACH_SPEED, _APPROACH_ACCELERATION
+            )
             if motion.duration > 0.0:
                 motion.rest(_REST_S)
                 follow(motion.points(robot.joint_names))
@@ -78,7 +89,9 @@ def node_trials(
                 follow(points, correction)
             approach()
             bag = Path(name) / f"trial_{number}"
-            played = [CORRECTION] if correction.offsets.any() else []  # without offsets nothing is published
+            played = (
+                [CORRECTION] if correction.offsets.any() else []
+            )  # without offsets nothing is published
             words = executable("rx90 bag", "record", "--output", bag, *topics, *played)
             recorder = recorders.start(f"recorder of {bag.name}", words)
             recorder.wait_for("ready: all", timeout)
@@ -87,7 +100,9 @@ def node_trials(
                 time.sleep(_SENSOR)
             recorder.signal(signal.SIGINT)
             recorder.expect_success(timeout)
-            found, _ = measured(learner.setup, learner.nominal, bag, tip_topic and bag, tip_topic=tip_topic)
+            found, _ = measured(
+                learner.setup, learner.nominal, bag, tip_topic and bag, tip_topic=tip_topic
+            )
             shutil.rmtree(bag, ignore_errors=True)
             return found
 

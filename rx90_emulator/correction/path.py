@@ -59,7 +59,9 @@ class TrajectoryPath:
     period: float
 
     @classmethod
-    def of(cls, setup: Setup, points: TrajectoryPoints, counted: tuple[float, float] | None = None) -> TrajectoryPath:
+    def of(
+        cls, setup: Setup, points: TrajectoryPoints, counted: tuple[float, float] | None = None
+    ) -> TrajectoryPath:
         """Return it for the controller of a setup; all of it counts unless `counted` states a part.
 
         Raises:
@@ -74,13 +76,17 @@ class TrajectoryPath:
                 f"the path error counts from {begin:g} to {end:g} s; accepted: a part of the trajectory, from 0 to "
                 f"{last:g} s"
             )
-        generator = TrajectoryGenerator(setup.controller.limits(setup.robot), period, points.position[0])
+        generator = TrajectoryGenerator(
+            setup.controller.limits(setup.robot), period, points.position[0]
+        )
         setpoints = generator.setpoints(0, generator.accept(points, 0, None).end)
         times = np.arange(len(setpoints)) * period
         tip = forward(setup.robot.chain, setpoints[:, 0]).position
         path = cls(points, counted, setpoints, tip, (times >= begin) & (times <= end), period)
         if len(path._corners) < 2:
-            raise ConfigError("the tip does not move along the trajectory; accepted: a path of the tip")
+            raise ConfigError(
+                "the tip does not move along the trajectory; accepted: a path of the tip"
+            )
         return path
 
     @cached_property

@@ -50,7 +50,9 @@ def corrected_trajectory(
     rows = np.unique(np.append(np.arange(0, count, _STRIDE), count - 1))
     names = setup.robot.joint_names
     times = np.round(rows * period, 9).tolist()
-    return TrajectoryPoints.create(names, names, times, *(motion[rows, k].tolist() for k in range(3)))
+    return TrajectoryPoints.create(
+        names, names, times, *(motion[rows, k].tolist() for k in range(3))
+    )
 
 
 def travelled_error(setup: Setup, path: CorrectablePath, points: TrajectoryPoints) -> float:

@@ -32,8 +32,12 @@ REFERENCE = "rx90_controller/reference"
 TRACKING = "rx90_controller/tracking_error"
 CORRECTION = "rx90_controller/correction"
 _GAP = 3.5  # times the median interval, or the set-points' own: up to two missing samples are interpolated
-_MAX_DIFFERENCE = 0.02  # of the range of a motion, root mean square: a larger one means another motion
-_MAX_ROWS = 10_000_000  # longest record, in set-points: the search for the motion then takes some GB
+_MAX_DIFFERENCE = (
+    0.02  # of the range of a motion, root mean square: a larger one means another motion
+)
+_MAX_ROWS = (
+    10_000_000  # longest record, in set-points: the search for the motion then takes some GB
+)
 _POSITIONS = {
     "geometry_msgs/msg/PointStamped": "point",
     "geometry_msgs/msg/PoseStamped": "pose.position",
@@ -56,7 +60,9 @@ class Laid(NamedTuple):
     difference: float
 
 
-def laid_under(times: Array, values: Array, nominal: Array, period: float, counts: Mask, what: str) -> Laid:
+def laid_under(
+    times: Array, values: Array, nominal: Array, period: float, counts: Mask, what: str
+) -> Laid:
     """Find the time at which a nominal motion runs in a record, and return the record at its set-points.
 
     Args:
@@ -68,17 +74,23 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
         what: name of the record, for refusals.
     """
     if len(times) < 2 or not (np.diff(times) > 0.0).all() or not np.isfinite(values).all():
-        raise ConfigError(f"{what}: {counted(len(times), 'row')}; accepted: two or more, finite, with increasing times")
+        raise ConfigError(
+            f"{what}: {counted(len(times), 'row')}; accepted: two or more, finite, with increasing times"
+        )
     count = len(nominal)
     # The record is extended by its first and last value, so that a rest before or after the motion may be missing.
     if not times[-1] - times[0] <= _MAX_ROWS * period:
-        raise ConfigError(f"{what}: {times[-1] - times[0]:.6g} s; accepted: up to {_MAX_ROWS * period:g} s")
+        raise ConfigError(
+            f"{what}: {times[-1] - times[0]:.6g} s; accepted: up to {_MAX_ROWS * period:g} s"
+        )
     grid = times[0] + np.arange(-count, round((times[-1] - times[0]) / period) + count) * period
     record = np.column_stack([np.interp(grid, times, column) for column in values.T])
     middle = nominal.mean(axis=0)
     record = record - middle
     motion = nominal - middle
-    together = sum(fftconvolve(record[:, k], motion[::-1, k], "valid") for k in range(record.shape[1]))
+    together = sum(
+        fftconvolve(record[:, k], motion[::-1, k], "valid") for k in range(record.shape[1])
+    )
     squares = np.concatenate([[0.0], np.cumsum((record**2).sum(axis=1))])
     between = (motion**2).sum() + squares[count:] - squares[:-count] - 2.0 * together
     best = int(np.argmin(between))
@@ -94,7 +106,9 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
             f"{what}: from {times[0]:.6g} to {times[-1]:.6g} s, the path takes from {begin:.6g} to {end:.6g} s of it; "
             "accepted: a record of all of the path"
         )
-    within = times[max(0, np.searchsorted(times, begin, side="right") - 1) : np.searchsorted(times, end) + 1]
+    within = times[
+        max(0, np.searchsorted(times, begin, side="right") - 1) : np.searchsorted(times, end) + 1
+    ]
     steps = np.diff(within)
     if steps.max(initial=0.0) > max(_GAP * float(np.median(np.diff(times))), _GAP * period):
         raise ConfigError(
@@ -102,7 +116,9 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
             "accepted: a record without gaps"
         )
     found = np.column_stack([np.interp(rows, times, column) for column in values.T])
-    difference = float(np.sqrt(np.mean((found - nominal)[counts] ** 2)) / max(np.ptp(nominal, axis=0).max(), 1e-12))
+    difference = float(
+        np.sqrt(np.mean((found - nominal)[counts] ** 2)) / max(np.ptp(nominal, axis=0).max(), 1e-12)
+    )
     if difference > _MAX_DIFFERENCE:
         raise ConfigError(
             f"{what}: {difference:.1%} of the motion's range away from the path where they fit best, at {shift:.6g} s; "
@@ -127,8 +143,17 @@ def joints_of_bag(
     except BagError:
         series = read_joint_states(bag, topic, names)
         if series.position is None:
-            raise BagError(f"{plain(bag)}: {topic} without positions; accepted: joint positions") from None
-        laid = laid_under(series.time, series.position, reference_positions, nominal.period, nominal.counts, plain(bag))
+            raise BagError(
+                f"{plain(bag)}: {topic} without positions; accepted: joint positions"
+            ) from None
+        laid = laid_under(
+            series.time,
+            series.position,
+            reference_positions,
+            nominal.period,
+            nominal.counts,
+            plain(bag),
+        )
         return (
             reference_positions - laid.values,
             None,
@@ -137,7 +162,12 @@ def joints_of_bag(
     assert reference.position is not None
     assert tracking.position is not None
     laid = laid_under(
-        reference.time, reference.position, reference_positions, nominal.period, nominal.counts, plain(bag)
+        reference.time,
+        reference.position,
+        reference_positions,
+        nominal.period,
+        nominal.counts,
+        plain(bag),
     )
     added = np.zeros_like(tracking.position)
     with suppress(BagError):  # no such topic, or no message on it: no correction was played
@@ -147,12 +177,16 @@ def joints_of_bag(
         added[both.rows_a] = played.position[both.rows_b]
     first = round(laid.shift / nominal.period)
     ticks = np.round(tracking.time / nominal.period).astype(np.int64)
-    rows = np.clip(np.searchsorted(ticks, first + np.arange(len(reference_positions))), 0, len(ticks) - 1)
+    rows = np.clip(
+        np.searchsorted(ticks, first + np.arange(len(reference_positions))), 0, len(ticks) - 1
+    )
     source = f"the controller's set-points, begun at {first * nominal.period:.6f} s"
     return (tracking.position - added)[rows], added[rows], source
 
 
-def tip_of_file(file: Path | str, nominal: TrajectoryPath, topic: str | None = None) -> tuple[Array, str]:
+def tip_of_file(
+    file: Path | str, nominal: TrajectoryPath, topic: str | None = None
+) -> tuple[Array, str]:
     """Return required less measured position of the tip at a path's set-points, m, shape (n, 3).
 
     The file is a CSV table with a header: `time [s]`, and `x`, `y`, `z` of the tool centre point in the base frame,
@@ -162,19 +196,30 @@ def tip_of_file(file: Path | str, nominal: TrajectoryPath, topic: str | None = N
         The error, and how it was found.
     """
     rows = _table(Path(file)) if topic is None else _topic(file, topic)
-    laid = laid_under(rows[:, 0], rows[:, 1:], nominal.tip, nominal.period, nominal.counts, plain(file))
-    return nominal.tip - laid.values, f"tip of {plain(file)}, begun at {laid.shift:.6f} s of its time"
+    laid = laid_under(
+        rows[:, 0], rows[:, 1:], nominal.tip, nominal.period, nominal.counts, plain(file)
+    )
+    return (
+        nominal.tip - laid.values,
+        f"tip of {plain(file)}, begun at {laid.shift:.6f} s of its time",
+    )
 
 
 def _topic(bag: Path | str, name: str) -> Array:
     with BagReader(bag) as reader:
-        found = [one for one in reader.topics if one.name == absolute(name) and one.msgtype in _POSITIONS]
+        found = [
+            one for one in reader.topics if one.name == absolute(name) and one.msgtype in _POSITIONS
+        ]
         if not found:
-            raise BagError(f"{plain(bag)}: no topic {plain(name)} of {', '.join(_POSITIONS)}; accepted: one that is")
+            raise BagError(
+                f"{plain(bag)}: no topic {plain(name)} of {', '.join(_POSITIONS)}; accepted: one that is"
+            )
         read = attrgetter(_POSITIONS[found[0].msgtype])
         messages = [reader.deserialize(one, data) for one, _, data in reader.messages(found)]
     rows = [(message_time_ns(each.header.stamp) / NANOSECONDS, read(each)) for each in messages]
-    return np.array([(time, place.x, place.y, place.z) for time, place in rows], dtype=np.float64).reshape(-1, 4)
+    return np.array(
+        [(time, place.x, place.y, place.z) for time, place in rows], dtype=np.float64
+    ).reshape(-1, 4)
 
 
 def _table(file: Path) -> Array:

@@ -32,7 +32,9 @@ _MOST_FRAMES = 400
 _FRAME_RATE = 50.0  # Hz
 _ELEVATION = math.radians(20.0)  # of the eye
 _AZIMUTH = math.radians(-50.0)  # from the normal of the line
-_MAX_DEVIATION_SHARE = 0.12  # share of the picture's height that the largest deviation is drawn as, at most
+_MAX_DEVIATION_SHARE = (
+    0.12  # share of the picture's height that the largest deviation is drawn as, at most
+)
 _CIRCLE_CORNERS = 20  # of what stands for a circle
 
 
@@ -70,9 +72,14 @@ class Animation:
 
     def outlines(self, frame: int) -> list[tuple[int, str]]:
         """Return the shapes from back to front, each with its outline as the points of an SVG polygon."""
-        seen = [corners @ self.views[frame, k, :, :3].T + self.views[frame, k, :, 3] for k, corners in self.shapes]
+        seen = [
+            corners @ self.views[frame, k, :, :3].T + self.views[frame, k, :, 3]
+            for k, corners in self.shapes
+        ]
         found = []
-        for which in np.argsort([float(points[:, 2].mean()) for points in seen], kind="stable").tolist():
+        for which in np.argsort(
+            [float(points[:, 2].mean()) for points in seen], kind="stable"
+        ).tolist():
             flat = seen[which][:, :2] * (1.0, -1.0)
             found.append((which, _points(flat[ConvexHull(flat).vertices])))
         return found
@@ -85,7 +92,9 @@ class Animation:
             "along": np.round(self.along * 1e3, 3).tolist(),
             "error": np.round(self.error * 1e3, 6).tolist(),
             "views": base64.b64encode(self.views.astype("<f4").tobytes()).decode("ascii"),
-            "shapes": [{"frame": k, "corners": np.round(corners, 5).tolist()} for k, corners in self.shapes],
+            "shapes": [
+                {"frame": k, "corners": np.round(corners, 5).tolist()} for k, corners in self.shapes
+            ],
             "trail": np.round(self.trail, 2).tolist(),
             "still": self.still,
         }
@@ -99,10 +108,16 @@ class Animation:
     def chart(self, width: float, height: float, limit: float) -> str:
         """Return error over distance as the points of a polyline as high as the larger of largest error and limit."""
         top = max(float(self.error.max()), limit)
-        return _points(np.column_stack([width * self.along / self.along.max(), height * (1.0 - self.error / top)]))
+        return _points(
+            np.column_stack(
+                [width * self.along / self.along.max(), height * (1.0 - self.error / top)]
+            )
+        )
 
 
-def animate(joints: JointSeries, path: PathAccuracy, robot: RobotModel, task: LineTask) -> Animation:
+def animate(
+    joints: JointSeries, path: PathAccuracy, robot: RobotModel, task: LineTask
+) -> Animation:
     """Return the animation of a run, of which `path` is the error, seen from the side of its line."""
     first, last = path.times[[0, -1]]
     step = max(1.0 / _FRAME_RATE, (last - first) / _MOST_FRAMES)
@@ -118,12 +133,19 @@ def animate(joints: JointSeries, path: PathAccuracy, robot: RobotModel, task: Li
     ends = np.array([task.start, task.end])
     _, deviation = decompose(tips - ends[0], ends[1] - ends[0])
     eye = _eye(ends)
-    solid = [(poses[:, k, :, :3] @ points.T + poses[:, k, :, 3:]).transpose(0, 2, 1) for k, points in corners]
+    solid = [
+        (poses[:, k, :, :3] @ points.T + poses[:, k, :, 3:]).transpose(0, 2, 1)
+        for k, points in corners
+    ]
     flat = np.concatenate([points.reshape(-1, 3) for points in (*solid, ends)]) @ eye[:2].T
     low = flat.min(axis=0)
     high = flat.max(axis=0)
-    scale = float(min((WIDTH - 2 * _MARGIN) / (high[0] - low[0]), (HEIGHT - 2 * _MARGIN) / (high[1] - low[1])))
-    shift = np.array([0.5 * WIDTH - 0.5 * scale * (low[0] + high[0]), _MARGIN - scale * low[1] - HEIGHT, 0.0])
+    scale = float(
+        min((WIDTH - 2 * _MARGIN) / (high[0] - low[0]), (HEIGHT - 2 * _MARGIN) / (high[1] - low[1]))
+    )
+    shift = np.array(
+        [0.5 * WIDTH - 0.5 * scale * (low[0] + high[0]), _MARGIN - scale * low[1] - HEIGHT, 0.0]
+    )
     views = scale * np.einsum("ij,nkjl->nkil", eye, poses)
     views[..., 3] += shift
     # The largest of 1, 2, 5, 10, 20, ... with which the largest deviation has its share of the picture at most.
@@ -132,10 +154,21 @@ def animate(joints: JointSeries, path: PathAccuracy, robot: RobotModel, task: Li
     factor = max(decade * step for step in (1.0, 2.0, 5.0) if decade * step <= most)
     line = (scale * ends @ eye[:2].T + shift[:2]) * (1.0, -1.0)
     trail = (scale * (tips + (factor - 1.0) * deviation) @ eye[:2].T + shift[:2]) * (1.0, -1.0)
-    colours = [to_hex((red, green, blue)) for red, green, blue in (shape.color.tolist() for shape in shapes)]
+    colours = [
+        to_hex((red, green, blue))
+        for red, green, blue in (shape.color.tolist() for shape in shapes)
+    ]
     error = path.perpendicular[frames]
     return Animation(
-        path.times[frames] - first, path.along[frames], error, views, corners, colours, line, trail, factor
+        path.times[frames] - first,
+        path.along[frames],
+        error,
+        views,
+        corners,
+        colours,
+        line,
+        trail,
+        factor,
     )
 
 

@@ -67,12 +67,21 @@ class RunReport:
         self.joints = read_joint_states(bag, "joint_states", names)
         self.friction = read_joint_states(bag, "friction_states", setup.friction.names)
         self.error = read_joint_states(bag, "rx90_controller/tracking_error", names)
-        self.path = path_accuracy(setup.robot, task, self.joints.time, self.joints.fields["position"], start_time)
+        self.path = path_accuracy(
+            setup.robot, task, self.joints.time, self.joints.fields["position"], start_time
+        )
         controller = setup.controller.replaced(feed_forward=setup.controller.feed_forward.off())
         self.path_without = run_line(replace(setup, controller=controller), task).path_accuracy
 
     def write(
-        self, page: Path, baseline: Path, comparison: BagComparison, *, pace: float, reached: float, composed: bool
+        self,
+        page: Path,
+        baseline: Path,
+        comparison: BagComparison,
+        *,
+        pace: float,
+        reached: float,
+        composed: bool,
     ) -> None:
         """Write the page.
 
@@ -90,7 +99,9 @@ class RunReport:
             "rx90_emulator.demo",
             "report.html.j2",
             robot=setup.robot.model.name,
-            provenance={} if files is None else {getattr(files, k).name: v for k, v in provenance_of(files).items()},
+            provenance={}
+            if files is None
+            else {getattr(files, k).name: v for k, v in provenance_of(files).items()},
             run=self,
             real_time_factor=reached,
             pace=pace,
@@ -148,7 +159,12 @@ class Demonstration:
     """
 
     def __init__(
-        self, robot: str, files: RobotFiles, pace: float, composed: bool = False, view: Sequence[object] | None = None
+        self,
+        robot: str,
+        files: RobotFiles,
+        pace: float,
+        composed: bool = False,
+        view: Sequence[object] | None = None,
     ) -> None:
         self._robot = robot
         self._task_file = files.required("task")
@@ -172,13 +188,17 @@ class Demonstration:
         # A process of its own: while it compiles, numba would swallow Ctrl-C.
         with ProcessGroup(folder / "log") as group:
             task = ("--robot", self._robot, self._task_file, "--start-time", START_TIME)
-            group.start("closed_loop", executable("rx90 run", *task, "--output", baseline)).expect_success()
+            group.start(
+                "closed_loop", executable("rx90 run", *task, "--output", baseline)
+            ).expect_success()
         factor = self._run_processes(folder, recorded)
         print("comparing the recorded run with the closed loop without ROS ...", flush=True)
         comparison = compare_bags(recorded, baseline)
         print(comparison_text(comparison))
         run = RunReport(recorded, self._setup, self._task, START_TIME)
-        run.write(page, baseline, comparison, pace=self._pace, reached=factor, composed=self._composed)
+        run.write(
+            page, baseline, comparison, pace=self._pace, reached=factor, composed=self._composed
+        )
         print(
             f"path error: worst {run.path.worst * 1e3:.4f} mm, "
             f"{run.path_without.worst * 1e3:.4f} mm {SWITCHED_OFF}; asked for: {PATH_LIMIT * 1e3:g} mm"
@@ -199,12 +219,16 @@ class Demonstration:
             "real_time_factor": self._pace,
             "paused": "true",
         }
-        parameters = [word for name, value in given.items() for word in ("-p", f"rx90_sim:{name}:={value}")]
+        parameters = [
+            word for name, value in given.items() for word in ("-p", f"rx90_sim:{name}:={value}")
+        ]
         print("starting simulation, controller, trajectory and recorder ...", flush=True)
         with ProcessGroup(folder / "log") as group:
             recorder = group.start("recorder", executable("rx90 bag", "record", "--output", bag))
             node = "rx90_cell" if self._composed else "rx90_sim"
-            simulation = group.start("simulation", executable(node, "--ros-args", *parameters, *of_robot))
+            simulation = group.start(
+                "simulation", executable(node, "--ros-args", *parameters, *of_robot)
+            )
             if not self._composed:
                 group.start("controller", executable("rx90_controller", "--ros-args", *of_robot))
             task = ("--robot", self._robot, self._task_file, "--start-time", START_TIME)
@@ -227,7 +251,10 @@ def _wait_for_page(page: ChildProcess) -> None:
     for line in page.lines:
         if line == TO_OTHERS or line.startswith(CODE):
             print(line)
-    print(f"page: {address}; time runs once it is open, at the latest in {_PAGE_TIMEOUT:g} s", flush=True)
+    print(
+        f"page: {address}; time runs once it is open, at the latest in {_PAGE_TIMEOUT:g} s",
+        flush=True,
+    )
     try:
         page.wait_for(OPENED, _PAGE_TIMEOUT)
     except ProcessError:
@@ -246,7 +273,14 @@ def _follow_clock(process: ChildProcess, duration: float) -> float:
     with client_node("rx90_demo", _SERVICE_TIMEOUT, lambda _: None) as client:
         simulation = SimulationClient(client)
         simulation.pause(False)
-        bar = tqdm(total=duration, bar_format=_BAR, desc="reference task", mininterval=0.2, miniters=0, disable=None)
+        bar = tqdm(
+            total=duration,
+            bar_format=_BAR,
+            desc="reference task",
+            mininterval=0.2,
+            miniters=0,
+            disable=None,
+        )
         with bar:
             factor = 0.0
             while process.returncode is None:

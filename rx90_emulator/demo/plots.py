@@ -14,9 +14,13 @@ from rx90_emulator.loop.line import PathAccuracy
 
 def path_error(recorded: PathAccuracy, without: PathAccuracy, name: str, limit: float) -> figure:
     """Show the path error along the line as recorded, the one of a run called `name`, and a limit, m."""
-    shown = chart("", "distance along the line, mm", "path error, mm", y_range=DataRange1d(start=0.0))
+    shown = chart(
+        "", "distance along the line, mm", "path error, mm", y_range=DataRange1d(start=0.0)
+    )
     shown.line(without.along * 1e3, without.perpendicular * 1e3, name=name, color=COLOURS[1])
-    shown.line(recorded.along * 1e3, recorded.perpendicular * 1e3, name="recorded", color=COLOURS[0])
+    shown.line(
+        recorded.along * 1e3, recorded.perpendicular * 1e3, name="recorded", color=COLOURS[0]
+    )
     shown.hspan([limit * 1e3], name="asked for laser welding", line_color=INK, line_dash="dashed")
     return shown
 
@@ -38,7 +42,9 @@ def friction(elements: JointSeries) -> list[figure]:
     over_velocity = chart("", "input velocity, rad/s", "friction torque, Nm")
     _draw(over_time, elements.time, states["effort"], elements.names)
     for k, name in enumerate(elements.names):
-        over_velocity.line(states["velocity"][:, k], states["effort"][:, k], name=name, color=COLOURS[k])
+        over_velocity.line(
+            states["velocity"][:, k], states["effort"][:, k], name=name, color=COLOURS[k]
+        )
     return [over_time, over_velocity]
 
 

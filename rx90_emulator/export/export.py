@@ -59,13 +59,22 @@ class Export:
     @property
     def text(self) -> str:
         """Return the differences as a table, and the losses."""
-        head = ["friction", "largest, Nm", "RMS, Nm", "over, rad/s", "break-away, Nm", "presliding, Nm/rad"]
+        head = [
+            "friction",
+            "largest, Nm",
+            "RMS, Nm",
+            "over, rad/s",
+            "break-away, Nm",
+            "presliding, Nm/rad",
+        ]
         rows = [tuple(head)]
         for fit in self.fits:
             break_away = [_both(one) for one in fit.break_away]
             stiffness = ["rigid" if math.isinf(one) else f"{one:.3g}" for one in fit.stiffness]
             over = f"{fit.speeds.min():.2g} to {fit.speeds.max():.2g}"
-            numbers = [f"{value:.2g}" if value > _ROUNDING else "0" for value in (fit.largest, fit.rms)]
+            numbers = [
+                f"{value:.2g}" if value > _ROUNDING else "0" for value in (fit.largest, fit.rms)
+            ]
             rows.append((fit.name, *numbers, over, " -> ".join(break_away), " -> ".join(stiffness)))
         lines = [f"{self.target.name}: {self.target.about}", f"speeds: {self.speeds}", ""]
         lines += aligned(rows, right=range(1, 4))
@@ -74,7 +83,10 @@ class Export:
             for line in fit.lost:
                 whose.setdefault(line, []).append(fit.name)
         lines += ["", "lost:", *(f"  {line}" for line in self.lost)]
-        lines += [f"  {', '.join(names) if len(names) < len(self.fits) else 'all'}: {x}" for x, names in whose.items()]
+        lines += [
+            f"  {', '.join(names) if len(names) < len(self.fits) else 'all'}: {x}"
+            for x, names in whose.items()
+        ]
         return "\n".join(lines)
 
     def report(self) -> str:
@@ -110,7 +122,11 @@ def _both(values: Sequence[float]) -> str:
 
 
 def export_robot(
-    arm: Arm, target: str, *, speeds: tuple[float, float] | None = None, bag: Path | str | None = None
+    arm: Arm,
+    target: str,
+    *,
+    speeds: tuple[float, float] | None = None,
+    bag: Path | str | None = None,
 ) -> Export:
     """Return a robot, or its friction alone, in the format of another simulator.
 
@@ -140,14 +156,18 @@ def export_robot(
     fits = []
     used, words = _speeds_in_use(arm, turns[: len(names)], speeds, bag)
     for k, (name, speed) in enumerate(zip(names, used, strict=True)):
-        fit = fit_friction(simulator, name, [arm.friction.elements[e] for e in np.flatnonzero(felt[:, k])], speed)
+        fit = fit_friction(
+            simulator, name, [arm.friction.elements[e] for e in np.flatnonzero(felt[:, k])], speed
+        )
         fits.append(fit if simulator.mjcf else _with_coupling(fit, arm, k, used))
     files = files_of(arm, simulator, fits)
     lost = _arm_losses(arm, simulator)
     if target == "mujoco-classic":
         (text,) = files.values()
         most = f"{creep(text, arm, fits):.2g} rad/s"
-        lost.append(f"rest: under half of its friction a joint creeps by up to {most}, measured in MuJoCo")
+        lost.append(
+            f"rest: under half of its friction a joint creeps by up to {most}, measured in MuJoCo"
+        )
     return Export(simulator, tuple(fits), files, tuple(lost), words)
 
 
@@ -156,7 +176,9 @@ def _speeds_in_use(
 ) -> tuple[list[Array], str]:
     """Return the speeds of each row of turns, shape (k, joints), and their source in words."""
     if speeds is not None:
-        return [speeds_up_to(speeds[1], speeds[0])] * len(turns), f"from {speeds[0]:g} to {speeds[1]:g} rad/s"
+        return [speeds_up_to(speeds[1], speeds[0])] * len(
+            turns
+        ), f"from {speeds[0]:g} to {speeds[1]:g} rad/s"
     most = np.abs(turns) @ arm.robot.max_velocity
     whole = [speeds_up_to(high) for high in most]
     words = f"from {LINEAR_SPEED:g} rad/s to the largest of each joint"
@@ -181,9 +203,14 @@ def _speeds_in_use(
             used.append(default)
             resting.append(" and ".join(np.array(arm.robot.joint_names)[row != 0.0]))
     if len(resting) == len(turns):
-        raise BagError(f"{plain(bag)}: no joint moves at {LINEAR_SPEED:g} rad/s or more; accepted: a bag of motions")
+        raise BagError(
+            f"{plain(bag)}: no joint moves at {LINEAR_SPEED:g} rad/s or more; accepted: a bag of motions"
+        )
     rest = f"; {', '.join(resting)} rests there: {words}" if resting else ""
-    return used, f"those of {plain(bag)} from {LINEAR_SPEED:g} rad/s on, as often as they are there{rest}"
+    return (
+        used,
+        f"those of {plain(bag)} from {LINEAR_SPEED:g} rad/s on, as often as they are there{rest}",
+    )
 
 
 def _identified_ranges(arm: Arm) -> dict[str, tuple[float, float]]:
@@ -192,9 +219,16 @@ def _identified_ranges(arm: Arm) -> dict[str, tuple[float, float]]:
     found = {} if file is None else FrictionFile.read(file).identification or {}
     try:
         fits = found.get("fit") or {}
-        bands = {name: one["residual_by_speed"] for name, one in fits.items() if one.get("residual_by_speed")}
+        bands = {
+            name: one["residual_by_speed"]
+            for name, one in fits.items()
+            if one.get("residual_by_speed")
+        }
         ranges = {name: (float(one[-1][1]), float(one[0][0])) for name, one in bands.items()}
-        return ranges | {name: (float(high), float(low)) for name, (low, high) in (found.get("speeds") or {}).items()}
+        return ranges | {
+            name: (float(high), float(low))
+            for name, (low, high) in (found.get("speeds") or {}).items()
+        }
     except _OTHER_SHAPE as error:
         raise ConfigError(
             f"{plain(str(file))}: its identification has another shape; accepted: as rx90 identify writes it"
@@ -235,7 +269,9 @@ def _with_coupling(fit: FrictionFit, arm: Arm, joint: int, used: Sequence[Array]
             inputs = sum(rows[e, k] * speed for k, speed in zip(joints, combination, strict=True))
             torque = turn * element.steady_torque(inputs)
             difference = difference + torque
-            more[e] = max(more[e], float(np.abs(torque - turn * element.steady_torque(turn * alone)).max()))
+            more[e] = max(
+                more[e], float(np.abs(torque - turn * element.steady_torque(turn * alone)).max())
+            )
         worst = max(worst, float(np.abs(difference).max()))
     lost = list(fit.lost)
     coupled = 0.0
@@ -243,7 +279,9 @@ def _with_coupling(fit: FrictionFit, arm: Arm, joint: int, used: Sequence[Array]
         others = [arm.robot.joint_names[k] for k in joints[1:] if rows[e, k]]
         if others:
             name = arm.friction.names[e]
-            lost.append(f"coupling: while {' and '.join(others)} moves, {name} differs by up to {more[e]:.3g} Nm more")
+            lost.append(
+                f"coupling: while {' and '.join(others)} moves, {name} differs by up to {more[e]:.3g} Nm more"
+            )
             coupled += more[e]
     return replace(fit, lost=tuple(lost), coupled=coupled, worst=worst)
 
@@ -262,7 +300,9 @@ def _near_rest(turns: Array, grid: Sequence[Array]) -> list[list[Array]]:
         rest = sum(-turns[k] / turns[place] * grid[k] for k in range(len(grid)) if k != place)
         range_of = np.abs(grid[place])
         reached = np.copysign(np.clip(np.abs(rest), range_of.min(), range_of.max()), rest)
-        combinations += [[*grid[:place], reached + side, *grid[place + 1 :]] for side in (-_BESIDE, _BESIDE)]
+        combinations += [
+            [*grid[:place], reached + side, *grid[place + 1 :]] for side in (-_BESIDE, _BESIDE)
+        ]
     return combinations
 
 
@@ -271,18 +311,24 @@ def _arm_losses(arm: Arm, target: Target) -> list[str]:
     drives = arm.drives
     lost = []
     if target.arm:
-        lost.append("drives: encoders, current loop, brakes; end stops are the simulator's own, at the joint limits")
+        lost.append(
+            "drives: encoders, current loop, brakes; end stops are the simulator's own, at the joint limits"
+        )
     else:
         lost.append("arm: the friction alone is written, with rotor inertias")
     if target.arm and not target.mjcf:
         if drives.spring_torque.any():
             lost.append(f"gravity-compensation springs: up to {drives.spring_torque.max():g} Nm")
         largest = drives.rotor_inertia.max()
-        lost.append(f"rotor inertias, for which it has no place: up to {largest:g} kg m^2 at a joint")
+        lost.append(
+            f"rotor inertias, for which it has no place: up to {largest:g} kg m^2 at a joint"
+        )
     if drives.elasticity.elastic.any():
         lost.append("elasticity and play of the gears: they are rigid")
     if drives.cogging.used and not target.lugre:
-        lost.append(f"cogging: up to {np.abs(drives.cogging.amplitude).sum(axis=0).max():.3g} Nm of a motor")
+        lost.append(
+            f"cogging: up to {np.abs(drives.cogging.amplitude).sum(axis=0).max():.3g} Nm of a motor"
+        )
     if drives.winding.used:
         but = ", but for their temperatures" if target.lugre else ""
         lost.append(f"windings: rise of the resistance and derating{but}")

@@ -55,7 +55,9 @@ class SimulatorLaw:
         """Return the torque of steady motion at speeds above 0, rad/s, in Nm."""
         a, b, c = self.viscous
         decay = stribeck_decay(speed, self.omega_s, self.delta) if self.omega_s > 0.0 else 0.0
-        return np.asarray(self.tau_c + (self.tau_s - self.tau_c) * decay + speed * (a + speed * (b + speed * c)))
+        return np.asarray(
+            self.tau_c + (self.tau_s - self.tau_c) * decay + speed * (a + speed * (b + speed * c))
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +105,9 @@ def sum_of(elements: Sequence[FrictionElement], speeds: Array, sign: float) -> A
     return np.asarray(sum(sign * one.steady_torque(sign * speeds) for one in elements))
 
 
-def fit_friction(target: Target, name: str, elements: Sequence[FrictionElement], speeds: Array) -> FrictionFit:
+def fit_friction(
+    target: Target, name: str, elements: Sequence[FrictionElement], speeds: Array
+) -> FrictionFit:
     """Return a target's law for the sum of elements, and its differences from them.
 
     Args:
@@ -133,11 +137,15 @@ def fit_friction(target: Target, name: str, elements: Sequence[FrictionElement],
     )
 
 
-def _law(target: Target, elements: Sequence[FrictionElement], speeds: Array, torque: Array) -> SimulatorLaw:
+def _law(
+    target: Target, elements: Sequence[FrictionElement], speeds: Array, torque: Array
+) -> SimulatorLaw:
     """Return the target's law nearest to the torque, the mean of both signs, at the speeds; both (n,)."""
 
     def mean(parameter: str) -> float:
-        return 0.5 * sum(one.parameters[f"{parameter}_{sign}"] for one in elements for sign in SIGNS)
+        return 0.5 * sum(
+            one.parameters[f"{parameter}_{sign}"] for one in elements for sign in SIGNS
+        )
 
     first = elements[0]
     curved = target.lugre and any(element.alpha != 1.0 for element in elements)
@@ -145,7 +153,11 @@ def _law(target: Target, elements: Sequence[FrictionElement], speeds: Array, tor
         tau_c=mean("tau_c"),
         tau_s=mean("tau_s") if target.breaks_away else mean("tau_c"),
         omega_s=first.omega_s if target.lugre else 0.0,
-        viscous=(float(sum(one.c2 * speeds.max() ** (one.alpha - 1.0) for one in elements)), 0.0, 0.0),
+        viscous=(
+            float(sum(one.c2 * speeds.max() ** (one.alpha - 1.0) for one in elements)),
+            0.0,
+            0.0,
+        ),
         c0=sum(one.c0 for one in elements) if target.lugre else math.inf,
         c1=sum(one.c1 for one in elements) if target.lugre else 0.0,
     )
@@ -155,7 +167,9 @@ def _law(target: Target, elements: Sequence[FrictionElement], speeds: Array, tor
     return _fitted(copied, target, curved, speeds, torque)
 
 
-def _fitted(law: SimulatorLaw, target: Target, curved: bool, speeds: Array, torque: Array) -> SimulatorLaw:
+def _fitted(
+    law: SimulatorLaw, target: Target, curved: bool, speeds: Array, torque: Array
+) -> SimulatorLaw:
     """Return the law of least squares, started from another one.
 
     The viscous torque is v ((p + q v)^2 + r v), so that it never generates energy at any speed.
@@ -177,7 +191,9 @@ def _fitted(law: SimulatorLaw, target: Target, curved: bool, speeds: Array, torq
     best = law
     for factor in _STARTS if target.lugre else (1.0,):
         logarithm = math.log(factor * law.omega_s) if target.lugre else 0.0
-        start = np.array([law.tau_c, law.tau_s - law.tau_c, math.sqrt(law.viscous[0]), 0.0, 0.0, logarithm])
+        start = np.array(
+            [law.tau_c, law.tau_s - law.tau_c, math.sqrt(law.viscous[0]), 0.0, 0.0, logarithm]
+        )
         if curved:
             start[3:5] = -0.1 * start[2] / speeds[-1], 1e-3 * start[2]
         start = np.where(free, np.clip(start, least + 1e-9, most), start)
@@ -205,8 +221,13 @@ def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]
     coulomb = abs(element.tau_c.positive - element.tau_c.negative)
     static = abs(element.tau_s.positive - element.tau_s.negative)
     if coulomb or static:
-        lost.append(f"signs: tau_c and tau_s differ by {coulomb:.3g} and {static:.3g} Nm, their means are kept")
-    rise = max(element.tau_s.positive - element.tau_c.positive, element.tau_s.negative - element.tau_c.negative)
+        lost.append(
+            f"signs: tau_c and tau_s differ by {coulomb:.3g} and {static:.3g} Nm, their means are kept"
+        )
+    rise = max(
+        element.tau_s.positive - element.tau_c.positive,
+        element.tau_s.negative - element.tau_c.negative,
+    )
     if rise and not target.lugre:
         kept = "kept as break-away torque alone" if target.breaks_away else "left out"
         lost.append(f"Stribeck curve: {rise:.3g} Nm above tau_c near rest, {kept}")
@@ -219,7 +240,9 @@ def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]
         lost.append("bristles: the stiffness of presliding, and its hysteresis")
     elif math.isfinite(element.omega_d):
         limit = element.replaced(omega_d=math.inf).passivity_limit(fastest)
-        gives = "" if math.isinf(limit) else f", and the element not passive from {limit:.2g} rad/s on"
+        gives = (
+            "" if math.isinf(limit) else f", and the element not passive from {limit:.2g} rad/s on"
+        )
         lost.append(f"fading of c1 above {element.omega_d:g} rad/s: it is constant{gives}")
     if element.bristles is not None:
         lost.append(f"bristles of the kind {type(element.bristles).__name__}: those of LuGre")
@@ -229,7 +252,9 @@ def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]
         )
     if (warmth := element.temperature) is not None:
         warm, cold = warmth.viscous_range
-        lost.append(f"temperature: viscous torque is {warm:.2g} to {cold:.2g} times that at {warmth.reference:g} °C")
+        lost.append(
+            f"temperature: viscous torque is {warm:.2g} to {cold:.2g} times that at {warmth.reference:g} °C"
+        )
     for part in ("ripple", "scatter"):
         if part in element.parts:
             lost.append(f"{part}: the mean is kept")

@@ -42,12 +42,21 @@ _TARGETS = (
         mjcf=True,
     ),
     Target(
-        "mujoco-classic", "older MuJoCo, MJX, mujoco_warp: frictionloss, damping", "{name}.xml", "mjcf.xml", mjcf=True
+        "mujoco-classic",
+        "older MuJoCo, MJX, mujoco_warp: frictionloss, damping",
+        "{name}.xml",
+        "mjcf.xml",
+        mjcf=True,
     ),
     Target("urdf", "URDF: <dynamics friction damping>", "{name}.urdf"),
     Target("sdf", "SDF, for Gazebo: <dynamics><friction>, <damping>", "{name}.sdf", "sdf.xml"),
     Target(
-        "isaaclab", "Isaac Lab: ImplicitActuatorCfg", "actuators.py", "isaaclab.py.txt", breaks_away=True, arm=False
+        "isaaclab",
+        "Isaac Lab: ImplicitActuatorCfg",
+        "actuators.py",
+        "isaaclab.py.txt",
+        breaks_away=True,
+        arm=False,
     ),
 )
 TARGETS = {target.name: target for target in _TARGETS}

@@ -91,14 +91,20 @@ class RigidArm:
         """
         urdf = Path(urdf)
         alone = joint_model(urdf, joints, massless=massless)
-        model = joint_model(urdf, joints, massless=massless, followed=followed) if followed else alone
+        model = (
+            joint_model(urdf, joints, massless=massless, followed=followed) if followed else alone
+        )
         names = tuple(str(name) for name in alone.names)[1:]
         everything = tuple(str(name) for name in model.names)[1:]
         place = np.array([everything.index(name) for name in names])
         turns = _checked("coupling", coupling, np.eye(len(names)))
         if abs(np.linalg.det(turns)) < 1e-9:
             raise IdentificationError(f"coupling: {turns.tolist()}; accepted: an invertible matrix")
-        rotor = turns.T @ np.diag(_checked("rotor_inertia", rotor_inertia, np.zeros(len(names)))) @ turns
+        rotor = (
+            turns.T
+            @ np.diag(_checked("rotor_inertia", rotor_inertia, np.zeros(len(names))))
+            @ turns
+        )
         springs = np.zeros(len(everything))
         springs[place] = _checked("spring", spring, np.zeros(len(names)))
         # Joints that follow turn alone, and no element acts on them.
@@ -122,11 +128,18 @@ class RigidArm:
         chains = [set(chain.tolist()) for chain in self.model.supports]
         moved = {joint + 1 for joint in np.flatnonzero(self.identified).tolist()}
         above = set().union(*(chains[joint] for joint in moved))
-        return tuple(name for joint, name in enumerate(self.names, 1) if joint in above or chains[joint] & moved)
+        return tuple(
+            name
+            for joint, name in enumerate(self.names, 1)
+            if joint in above or chains[joint] & moved
+        )
 
     def torque(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return the torques of the drives at the joints without friction, Nm, all arrays of shape (m, n)."""
-        return rigid_torque(self.model, self.rotor, self.spring, position, velocity, acceleration) + self.offset
+        return (
+            rigid_torque(self.model, self.rotor, self.spring, position, velocity, acceleration)
+            + self.offset
+        )
 
     def with_bodies(self, links: Array, rotors: Array) -> RigidArm:
         """Return the arm with other links, shape (10 n,) in `inertial`'s order, and rotors, kg m^2, shape (n,)."""
@@ -143,7 +156,9 @@ class RigidArm:
         """
         for name in joints:
             if name not in self.names:
-                raise IdentificationError(f"joint {quoted(name)} is none of this arm; accepted: {listed(self.names)}")
+                raise IdentificationError(
+                    f"joint {quoted(name)} is none of this arm; accepted: {listed(self.names)}"
+                )
         torques = [joints.get(name, JointTorques()) for name in self.names]
         spring = np.array([joint.spring for joint in torques])
         rotors = np.diag([joint.rotor_inertia for joint in torques])
@@ -170,7 +185,9 @@ class RigidArm:
     @property
     def inertial(self) -> Array:
         """Return the links' inertial parameters in the regressor's order, SI units, shape (10 n,)."""
-        return np.concatenate([body.toDynamicParameters() for body in list(self.model.inertias)[1:]])
+        return np.concatenate(
+            [body.toDynamicParameters() for body in list(self.model.inertias)[1:]]
+        )
 
     def ranges(self) -> Array:
         """Return the joints' ranges by the URDF, rad, shape (n,); 0 where it has none."""
@@ -180,7 +197,9 @@ class RigidArm:
 
     def speeds(self) -> Array:
         """Return the joints' greatest speeds by the URDF, rad/s, shape (n,); 0 where it has none."""
-        return np.asarray(np.where(np.isfinite(self.model.velocityLimit), self.model.velocityLimit, 0.0))
+        return np.asarray(
+            np.where(np.isfinite(self.model.velocityLimit), self.model.velocityLimit, 0.0)
+        )
 
     def inertial_scale(self) -> Array:
         """Return how large errors of the inertial parameters can be at most, shape (10 n,), SI units.
@@ -188,7 +207,10 @@ class RigidArm:
         The bound is the whole mass of the arm at the distance of its reach.
         """
         mass = sum(body.mass for body in self.model.inertias)
-        reach = sum(float(np.linalg.norm(place.translation)) for place in self.model.jointPlacements) or 1.0
+        reach = (
+            sum(float(np.linalg.norm(place.translation)) for place in self.model.jointPlacements)
+            or 1.0
+        )
         powers = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
         return np.tile(mass * reach**powers, len(self.names))
 
@@ -196,7 +218,9 @@ class RigidArm:
 def _checked(name: str, given: ArrayLike | None, usual: Array) -> Array:
     value = usual if given is None else np.asarray(given, dtype=np.float64)
     if value.shape != usual.shape or not np.isfinite(value).all():
-        raise IdentificationError(f"{name} has shape {value.shape}; accepted: finite numbers, shape {usual.shape}")
+        raise IdentificationError(
+            f"{name} has shape {value.shape}; accepted: finite numbers, shape {usual.shape}"
+        )
     return value
 
 
@@ -216,7 +240,9 @@ class JointGroup:
 
     def break_away(self, sliding: Sequence[FrictionElement]) -> Array:
         """Return the friction torque at which each joint slides, Nm, shape (k,), by its elements' sliding regime."""
-        return np.asarray(np.abs(self.inputs).T @ np.array([element.tau_c.positive for element in sliding]))
+        return np.asarray(
+            np.abs(self.inputs).T @ np.array([element.tau_c.positive for element in sliding])
+        )
 
 
 def joint_groups(arm: RigidArm) -> list[JointGroup]:

@@ -125,7 +125,9 @@ def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], A
     }
     for name in joints:
         if name not in own:
-            raise IdentificationError(f"no joint {quoted(name)} in the URDF; accepted: {listed(own)}")
+            raise IdentificationError(
+                f"no joint {quoted(name)} in the URDF; accepted: {listed(own)}"
+            )
     model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
     fixed_joints = [k for k in range(1, model.njoints) if model.names[k] not in joints]
     model = pin.buildReducedModel(model, fixed_joints, pin.neutral(model))
@@ -143,10 +145,19 @@ def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], A
                 mass = inertial.find("mass")
                 inertia = inertial.find("inertia")
                 weight = 0.0 if mass is None else float(mass.get("value", "0"))
-                moments = [0.0 if inertia is None else float(inertia.get(key, "0")) for key in _URDF_MOMENTS]
+                moments = [
+                    0.0 if inertia is None else float(inertia.get(key, "0"))
+                    for key in _URDF_MOMENTS
+                ]
                 to_joint = frame.placement.homogeneous @ _origin(inertial)
-                pseudo = to_joint @ _about_center(weight, np.zeros(3), np.reshape(moments, (3, 3))) @ to_joint.T
-            bodies.append(MovingBody(frame.name, number[joint], frame.placement.homogeneous, pseudo))
+                pseudo = (
+                    to_joint
+                    @ _about_center(weight, np.zeros(3), np.reshape(moments, (3, 3)))
+                    @ to_joint.T
+                )
+            bodies.append(
+                MovingBody(frame.name, number[joint], frame.placement.homogeneous, pseudo)
+            )
     ends = np.zeros((len(joints), 3))
     for joint, place in places:
         if joint and np.linalg.norm(place.translation) > np.linalg.norm(ends[number[joint]]):
@@ -241,7 +252,13 @@ class InertialPrior:
             if not real:
                 bodies.append(_by_geometry(of_joint[0], ends))
                 given = any(one.pseudo.any() for one in of_joint)
-                why = "the same for all links" if filled else "none that a body can have" if given else "missing"
+                why = (
+                    "the same for all links"
+                    if filled
+                    else "none that a body can have"
+                    if given
+                    else "missing"
+                )
                 words.append(
                     f"{of_joint[0].link} at {name}: <inertial> is {why}; begins as an ellipsoid of {_DENSITY:g} kg/m^3 "
                     f"along the link, {bodies[-1].pseudo[3, 3]:.3g} kg"
@@ -258,10 +275,23 @@ class InertialPrior:
         unknown = (initial == 0.0) if rotors is not None else np.zeros(len(initial), dtype=np.bool_)
         guesses = np.append(np.array(guessed, dtype=bool), unknown)
         for i in np.flatnonzero(unknown).tolist():
-            total = np.sum([inertial_parameters(body.pseudo) for body in bodies if body.joint == i], axis=0)
+            total = np.sum(
+                [inertial_parameters(body.pseudo) for body in bodies if body.joint == i], axis=0
+            )
             initial[i] = total[[4, 6, 9]].mean()
-            words.append(f"rotor of {names[i]}: begins at {initial[i]:.3g} kg m^2, the mean moment of its link")
-        return cls(names, tuple(bodies), fixed_parameters, initial, amplitudes, guesses, tuple(words), dropped)
+            words.append(
+                f"rotor of {names[i]}: begins at {initial[i]:.3g} kg m^2, the mean moment of its link"
+            )
+        return cls(
+            names,
+            tuple(bodies),
+            fixed_parameters,
+            initial,
+            amplitudes,
+            guesses,
+            tuple(words),
+            dropped,
+        )
 
 
 def _by_geometry(body: MovingBody, ends: Array) -> MovingBody:
@@ -270,7 +300,11 @@ def _by_geometry(body: MovingBody, ends: Array) -> MovingBody:
     length = float(np.linalg.norm(end))
     reach = float(np.linalg.norm(ends, axis=1).sum()) or _DEFAULT_REACH
     others = max(1, int(ends.any(axis=1).sum()))
-    radius = max(length / _SLENDERNESS, _MIN_RADIUS_SHARE * reach) if length else _END_RADIUS * reach / others
+    radius = (
+        max(length / _SLENDERNESS, _MIN_RADIUS_SHARE * reach)
+        if length
+        else _END_RADIUS * reach / others
+    )
     half = max(0.5 * length, radius)
     along = end / length if length > 0.0 else np.zeros(3)
     mass = _DENSITY * 4.0 / 3.0 * np.pi * half * radius**2
@@ -366,9 +400,13 @@ class _Bodies:
         self._joint = [body.joint for body in prior.bodies]
         self._factors = np.linalg.cholesky([body.pseudo for body in prior.bodies])
         described = np.concatenate([prior.rotors, prior.springs])
-        self._behind = np.append(described, np.zeros(parameters - len(self._known) - len(described)))
+        self._behind = np.append(
+            described, np.zeros(parameters - len(self._known) - len(described))
+        )
         self._positive = self._behind > 0.0
-        guessed = np.append(prior.guessed, np.zeros(len(self._behind) - len(prior.rotors), dtype=np.bool_))
+        guessed = np.append(
+            prior.guessed, np.zeros(len(self._behind) - len(prior.rotors), dtype=np.bool_)
+        )
         share = np.where(guessed, GUESSED, 1.0)
         # ln P changes by twice a number on the diagonal, and by one below it in two entries.
         size = np.append(np.full(4, 2.0), np.full(6, math.sqrt(2.0)))
@@ -383,7 +421,9 @@ class _Bodies:
     def behind(self, numbers: Array) -> Array:
         """Return rotors, springs and others, shape (P - 10 n,)."""
         last = numbers[10 * len(self._joint) :]
-        return np.where(self._positive, self._behind * np.exp(np.where(self._positive, last, 0.0)), last)
+        return np.where(
+            self._positive, self._behind * np.exp(np.where(self._positive, last, 0.0)), last
+        )
 
     def parameters(self, numbers: Array) -> Array:
         """Return all standard parameters, shape (P,)."""
@@ -401,7 +441,9 @@ class _Bodies:
             change[range(4, 10), _LOWER[0], _LOWER[1]] = 1.0
             half = self._factors[number] @ change @ relative[number].T @ self._factors[number].T
             place = slice(10 * joint, 10 * joint + 10)
-            slopes[place, 10 * number : 10 * number + 10] = inertial_parameters(half + np.swapaxes(half, 1, 2)).T
+            slopes[place, 10 * number : 10 * number + 10] = inertial_parameters(
+                half + np.swapaxes(half, 1, 2)
+            ).T
         ends = np.where(self._positive, self.behind(numbers), 1.0)
         first = 10 * len(self._joint)
         slopes[len(self._known) :, first:] = np.diag(ends)
@@ -410,7 +452,9 @@ class _Bodies:
     def open_masses(self, numbers: Array, information: Array) -> Mask:
         """Return the joints where the data leave more than half of the variance that the prior gives the mass."""
         slopes = self.slopes(numbers)[: len(self._known) : 10]
-        prior = np.where(self.prior_weight > 0.0, 1.0 / np.maximum(self.prior_weight, 1e-9) ** 2, 0.0)
+        prior = np.where(
+            self.prior_weight > 0.0, 1.0 / np.maximum(self.prior_weight, 1e-9) ** 2, 0.0
+        )
         alone = np.sum(slopes**2 * prior, axis=1)
         total = information.T @ information + np.diag(self.prior_weight**2)
         after = np.einsum("ij,jk,ik->i", slopes, np.linalg.pinv(total, hermitian=True), slopes)
@@ -424,7 +468,9 @@ class _Bodies:
         return relative
 
 
-def consistent_inertias(estimate: BaseEstimate, prior: InertialPrior, weight: float = 1.0) -> ConsistentInertias:
+def consistent_inertias(
+    estimate: BaseEstimate, prior: InertialPrior, weight: float = 1.0
+) -> ConsistentInertias:
     """Return the consistent inertias nearest to the identified base parameters and to the prior.
 
     Args:
@@ -434,7 +480,9 @@ def consistent_inertias(estimate: BaseEstimate, prior: InertialPrior, weight: fl
     """
     if not estimate.determined.any():
         count = len(estimate.determined)
-        raise IdentificationError(f"none of {count} base parameters is determined; accepted: runs that determine some")
+        raise IdentificationError(
+            f"none of {count} base parameters is determined; accepted: runs that determine some"
+        )
     bodies = _Bodies(prior, estimate.mapping.shape[1])
     whitened = estimate.information @ estimate.mapping
     target = estimate.information @ estimate.value
@@ -457,12 +505,16 @@ def consistent_inertias(estimate: BaseEstimate, prior: InertialPrior, weight: fl
     for decade in range(max(0, math.ceil(math.log10(max(squares, 1.0) / weight))), -1, -1):
         near = bodies.prior_weight[moved] * math.sqrt(weight * 10.0**decade)
         start = numbers[moved]
-        result = least_squares(residual, start, slopes, x_scale="jac", max_nfev=MOST_EVALUATIONS, args=(near,))
+        result = least_squares(
+            residual, start, slopes, x_scale="jac", max_nfev=MOST_EVALUATIONS, args=(near,)
+        )
         whole(result.x)
     parameters = bodies.parameters(numbers)
     base = estimate.mapping @ parameters
     shift = base - estimate.value
-    distance = float(np.linalg.norm(estimate.information @ shift)) / math.sqrt(int(estimate.determined.sum()))
+    distance = float(np.linalg.norm(estimate.information @ shift)) / math.sqrt(
+        int(estimate.determined.sum())
+    )
     return ConsistentInertias(
         prior=prior,
         pseudo=bodies.pseudo(numbers),
@@ -508,11 +560,24 @@ class Consistency:
         """Return in words the joints whose masses the runs do not determine, and the values used; "" if none."""
         prior = self.inertias.prior
         words = []
-        real = {body.joint for body, guess in zip(prior.bodies, prior.guessed, strict=False) if not guess}
-        for described, near in ((True, "the description's"), (False, "plausible ones, ellipsoids along the links")):
-            joints = [name for k, name in enumerate(prior.joints) if self.inertias.open[k] and (k in real) == described]
+        real = {
+            body.joint
+            for body, guess in zip(prior.bodies, prior.guessed, strict=False)
+            if not guess
+        }
+        for described, near in (
+            (True, "the description's"),
+            (False, "plausible ones, ellipsoids along the links"),
+        ):
+            joints = [
+                name
+                for k, name in enumerate(prior.joints)
+                if self.inertias.open[k] and (k in real) == described
+            ]
             if joints:
-                words.append(f"what {listed(joints)} move{'' if len(joints) > 1 else 's'} stays near {near}")
+                words.append(
+                    f"what {listed(joints)} move{'' if len(joints) > 1 else 's'} stays near {near}"
+                )
         return f"masses that the runs do not determine: {'; '.join(words)}" if words else ""
 
     @property
@@ -543,13 +608,17 @@ def make_consistent(
     arm = problem.arm
     n = len(arm.names)
     description: Path | str = Path(str(options.urdf))
-    rotors: ArrayLike | None = problem.columns.values()[10 * n : 11 * n] if problem.columns.rotors else None
+    rotors: ArrayLike | None = (
+        problem.columns.values()[10 * n : 11 * n] if problem.columns.rotors else None
+    )
     known: tuple[str, ...] = ()
     if robot.setup is not None:
         description = robot.setup.robot.urdf
         rotors = robot.setup.drives.rotor_inertia
         known = () if (robot.setup.files or RobotFiles()).tool is None else (_TOOL,)
-    prior = InertialPrior.of_urdf(description, arm.names, rotors, arm.spring[problem.columns.springs], known)
+    prior = InertialPrior.of_urdf(
+        description, arm.names, rotors, arm.spring[problem.columns.springs], known
+    )
     inertias = consistent_inertias(BaseEstimate.of(problem, fitted), prior)
     residual = fitted.fit.residual
     size = float(np.linalg.norm(problem.torque))

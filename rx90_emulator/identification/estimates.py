@@ -14,7 +14,15 @@ from rx90_common.friction.parts.bristles import LUGRE_PASSIVITY
 from rx90_common.friction.parts.part import MIN_SPEED
 from rx90_emulator.identification.records import BagSource
 
-SLIDING = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "omega_s", "delta", "c2")
+SLIDING = (
+    "tau_c_positive",
+    "tau_c_negative",
+    "tau_s_positive",
+    "tau_s_negative",
+    "omega_s",
+    "delta",
+    "c2",
+)
 VISCOUS_EXPONENT = "alpha"
 """It belongs to the sliding regime too, and is estimated where the data prefer another value than 1."""
 PRESLIDING = ("c0", "c1")
@@ -34,7 +42,9 @@ def digits(value: float, count: int = 6) -> float:
     return float(f"{value:.{count}g}")
 
 
-def with_passive_fading(element: FrictionElement, fallback: FrictionElement | None) -> FrictionElement:
+def with_passive_fading(
+    element: FrictionElement, fallback: FrictionElement | None
+) -> FrictionElement:
     """Return an element with the omega_d of a fallback, or 1 rad/s without one, or less, so that c1 gives no energy.
 
     The largest of c1 v exp(-(v / omega_d)^2) is c1 omega_d / sqrt(2 e), and the element is passive at every speed while
@@ -76,7 +86,11 @@ class ParameterEstimate:
         """Return value and deviation, rounded to the second significant digit of the deviation: 28.03 and 0.10."""
         value = self.value
         deviation = self.deviation
-        decimals = 1 - math.floor(math.log10(deviation)) if 0.0 < deviation < math.inf else _MAX_DECIMALS + 1
+        decimals = (
+            1 - math.floor(math.log10(deviation))
+            if 0.0 < deviation < math.inf
+            else _MAX_DECIMALS + 1
+        )
         if decimals > _MAX_DECIMALS:
             return f"{value:.4g}", f"{deviation:.2g}"
         shown = max(0, decimals)
@@ -116,7 +130,9 @@ class FrictionCurve:
     @property
     def chi2(self) -> float:
         """Return the mean square of the residuals over what the samples' noise leaves; 1 for noise alone."""
-        return float(np.mean(((self.torque - self.fitted) / np.maximum(self.deviation, 1e-12)) ** 2))
+        return float(
+            np.mean(((self.torque - self.fitted) / np.maximum(self.deviation, 1e-12)) ** 2)
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,7 +45,13 @@ from rx90_emulator.identification.robot import BagLayout, RecordedRobot
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
 from rx90_emulator.identification.rows.filtering import Bandwidths, recording_notes
 from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
-from rx90_emulator.identification.sanity import Recorded, alarms, body_alarms, log_alarms, moved_bodies
+from rx90_emulator.identification.sanity import (
+    Recorded,
+    alarms,
+    body_alarms,
+    log_alarms,
+    moved_bodies,
+)
 from rx90_emulator.identification.validation.prediction import (
     Validation,
     drive_torque,
@@ -96,7 +102,10 @@ def identify_excitation(
         BagError: for a bag that cannot be read.
         ConfigError: for a file of the robot that cannot be used.
     """
-    by_use = {"excitation": [Path(bag) for bag in bags], "validation": [Path(bag) for bag in validation]}
+    by_use = {
+        "excitation": [Path(bag) for bag in bags],
+        "validation": [Path(bag) for bag in validation],
+    }
     everything = [*by_use["excitation"], *by_use["validation"]]
     if not by_use["excitation"]:
         raise IdentificationError("no excitation run; accepted: bags of such runs, or their folder")
@@ -108,7 +117,10 @@ def identify_excitation(
     progress("filters and equations")
     bandwidths = Bandwidths.of(records["excitation"], bandwidth)
     problem = recorded_equations(records["excitation"], source, bandwidths, rotors=rotors)
-    notes = [*recording_notes(records["excitation"], bandwidths), *log_warnings(problem, source.held)]
+    notes = [
+        *recording_notes(records["excitation"], bandwidths),
+        *log_warnings(problem, source.held),
+    ]
     given = replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source))
     sanity = alarms(source.arm, Recorded.of(records["excitation"], source.arm), given, source.zero)
     progress("friction")
@@ -118,8 +130,12 @@ def identify_excitation(
     arm = written_arm(problem, consistency)
     bodies = moved_bodies(source.arm, arm)
     motion = Bandwidths.of_motion(records["excitation"])
-    compared = motion._replace(position=bandwidths.position, torque=min(motion.torque, bandwidths.torque))
-    stated = problem.other([run for record in records["excitation"] for run in filtered_runs(record, source, compared)])
+    compared = motion._replace(
+        position=bandwidths.position, torque=min(motion.torque, bandwidths.torque)
+    )
+    stated = problem.other(
+        [run for record in records["excitation"] for run in filtered_runs(record, source, compared)]
+    )
     result = ExcitationIdentification(
         robot=source,
         problem=problem,
@@ -136,7 +152,11 @@ def identify_excitation(
     )
     if not records["validation"]:
         return result
-    limits = tolerances if isinstance(tolerances, ValidationTolerances) else replace(RECORDED, **tolerances)
+    limits = (
+        tolerances
+        if isinstance(tolerances, ValidationTolerances)
+        else replace(RECORDED, **tolerances)
+    )
     simplest = simplest_fit(problem)
     checks = []
     for record in records["validation"]:
@@ -202,7 +222,9 @@ def _requested_parts(*, bristles: bool, model: Sequence[str] | None) -> tuple[Pa
     if model is None:
         return TRIED
     if bristles:
-        raise IdentificationError("--bristles with --model; accepted: --model with bristle among its parts")
+        raise IdentificationError(
+            "--bristles with --model; accepted: --model with bristle among its parts"
+        )
     names = model_parts(model)
     return tuple(part for part in Part if part.value in names)
 
@@ -211,7 +233,9 @@ def _check_rotors(robot: RobotOptions, *, rotors: bool) -> None:
     """Refuse a model without rotors if the drives' torques accelerate them."""
     if not rotors and (robot.urdf is None or robot.rotor_inertia is not None):
         given = "without --urdf" if robot.urdf is None else "with --rotor-inertia"
-        raise IdentificationError(f"--no-rotors {given}; accepted: with --urdf, for torques measured behind the gears")
+        raise IdentificationError(
+            f"--no-rotors {given}; accepted: with --urdf, for torques measured behind the gears"
+        )
 
 
 def _gears(layout: BagLayout, robot: RecordedRobot) -> Sequence[float] | None:
@@ -236,7 +260,9 @@ class Regressor:
     described: Array
 
 
-def regressor(arm: RigidArm, position: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Regressor:
+def regressor(
+    arm: RigidArm, position: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike
+) -> Regressor:
     """Return the columns that the rigid-body torque is linear in, for base parameters of the whole arm.
 
     Base parameters are the combinations of inertial parameters that the torque depends on (Gautier 1991).
@@ -250,10 +276,14 @@ def regressor(arm: RigidArm, position: ArrayLike, velocity: ArrayLike, accelerat
     Raises:
         IdentificationError: for arrays of another shape.
     """
-    motion = tuple(np.asarray(values, dtype=np.float64) for values in (position, velocity, acceleration))
+    motion = tuple(
+        np.asarray(values, dtype=np.float64) for values in (position, velocity, acceleration)
+    )
     for name, values in zip(("position", "velocity", "acceleration"), motion, strict=True):
         if values.ndim != 2 or values.shape != (len(motion[0]), len(arm.names)):
-            raise IdentificationError(f"{name} has shape {values.shape}; accepted: (m, {len(arm.names)}), all the same")
+            raise IdentificationError(
+                f"{name} has shape {values.shape}; accepted: (m, {len(arm.names)}), all the same"
+            )
     columns = StandardColumns(arm)
     base = BaseGroups.of(columns)
     values = columns.torque(*motion)[:, :, list(base.leading)]
@@ -261,7 +291,9 @@ def regressor(arm: RigidArm, position: ArrayLike, velocity: ArrayLike, accelerat
 
 
 def excitation_problem(
-    bags: Sequence[Path | str], robot: RobotOptions = SHIPPED_ROBOT, bandwidths: Bandwidths | None = None
+    bags: Sequence[Path | str],
+    robot: RobotOptions = SHIPPED_ROBOT,
+    bandwidths: Bandwidths | None = None,
 ) -> ExcitationProblem:
     """Return the equations of recorded runs, the first step of `identify_excitation`: filtered torque, regressor, rows.
 
@@ -318,11 +350,23 @@ def predict_torque(
     angle = np.asarray(position, np.float64)
     even = at.ndim == 1 and len(at) > 2 and np.allclose(np.diff(at), at[1] - at[0], rtol=1e-3)
     if not even or at[1] <= at[0]:
-        raise IdentificationError(f"time has shape {at.shape}; accepted: three or more even, increasing times")
-    speed = np.gradient(angle, at, axis=0) if velocity is None else np.asarray(velocity, dtype=np.float64)
-    change = np.gradient(speed, at, axis=0) if acceleration is None else np.asarray(acceleration, dtype=np.float64)
+        raise IdentificationError(
+            f"time has shape {at.shape}; accepted: three or more even, increasing times"
+        )
+    speed = (
+        np.gradient(angle, at, axis=0)
+        if velocity is None
+        else np.asarray(velocity, dtype=np.float64)
+    )
+    change = (
+        np.gradient(speed, at, axis=0)
+        if acceleration is None
+        else np.asarray(acceleration, dtype=np.float64)
+    )
     for name, values in (("position", angle), ("velocity", speed), ("acceleration", change)):
         if values.shape != (len(at), len(arm.names)):
-            raise IdentificationError(f"{name} has shape {values.shape}; accepted: ({len(at)}, {len(arm.names)})")
+            raise IdentificationError(
+                f"{name} has shape {values.shape}; accepted: ({len(at)}, {len(arm.names)})"
+            )
     _, elements, held = with_friction(arm, friction, "a prediction of torques")
     return drive_torque(held, elements, (angle, speed, change), float(at[1] - at[0]))

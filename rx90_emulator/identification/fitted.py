@@ -81,7 +81,10 @@ class FittedArm:
     def names(self) -> tuple[str, ...]:
         """Return the names of the values: `element.parameter`, then base parameters, shape (q + b,)."""
         elements = zip(self.arm.element_names, self.laws, strict=True)
-        return (*(f"{name}.{parameter}" for name, law in elements for parameter in law.names), *self.base_names)
+        return (
+            *(f"{name}.{parameter}" for name, law in elements for parameter in law.names),
+            *self.base_names,
+        )
 
     @property
     def values(self) -> Array:
@@ -116,9 +119,15 @@ class FittedArm:
         deviation = np.sqrt(np.maximum(variance, 0.0))
         known = ~(slopes[:, ~self.determined[place]] != 0.0).any(axis=1)
         estimates = {}
-        for name, value, size, determined in zip(values, values.values(), deviation, known, strict=True):
+        for name, value, size, determined in zip(
+            values, values.values(), deviation, known, strict=True
+        ):
             reason = _reason(name, value, float(size), determined=bool(determined))
-            estimates[name] = ParameterEstimate.unknown(reason) if reason else ParameterEstimate(value, float(size))
+            estimates[name] = (
+                ParameterEstimate.unknown(reason)
+                if reason
+                else ParameterEstimate(value, float(size))
+            )
         for name in PARAMETERS:
             if name not in estimates:
                 estimates[name] = ParameterEstimate.unknown(self._missing(number, _PART_OF[name]))
@@ -126,7 +135,9 @@ class FittedArm:
 
     def _missing(self, number: int, part: Part) -> str:
         """Return why an element does not have a part."""
-        trial = next((trial for trial in self.trials if trial.element == number and trial.part is part), None)
+        trial = next(
+            (trial for trial in self.trials if trial.element == number and trial.part is part), None
+        )
         if trial is None:
             return f"{part.value} was not tried"
         low, high = self.speeds[number]
@@ -141,7 +152,11 @@ def _reason(name: str, value: float, deviation: float, *, determined: bool) -> s
         return "no viscous friction shows"
     if not determined:
         return "the runs do not determine it"
-    if name in _PART_OF and not name.startswith("tau") and deviation > MOST_RELATIVE_DEVIATION * value:
+    if (
+        name in _PART_OF
+        and not name.startswith("tau")
+        and deviation > MOST_RELATIVE_DEVIATION * value
+    ):
         return f"standard deviation {deviation:.3g} at a value of {value:.3g}"
     return ""
 
@@ -208,7 +223,10 @@ def identified_elements(
     known = [own["tau_c_positive"].value for own in estimates if own["tau_c_positive"].identifiable]
     if not known and fallback is None:
         reasons = [own["tau_c_positive"].reason for own in estimates]
-        texts = "; ".join(f"{name}: {reason}" for name, reason in zip(fitted.arm.element_names, reasons, strict=True))
+        texts = "; ".join(
+            f"{name}: {reason}"
+            for name, reason in zip(fitted.arm.element_names, reasons, strict=True)
+        )
         raise IdentificationError(
             f"no friction of any element is identified ({texts}); accepted: runs that tell some, or --fallback with a "
             "friction file"
@@ -221,7 +239,9 @@ def identified_elements(
     return tuple(elements)
 
 
-def _element(fitted: FittedArm, number: int, other: FrictionElement | None, least: float) -> FrictionElement:
+def _element(
+    fitted: FittedArm, number: int, other: FrictionElement | None, least: float
+) -> FrictionElement:
     """Return an element; `other`, or the `least` Coulomb torque and assumed bristles, replace what is missing."""
     law = fitted.laws[number]
     x = fitted.fit.x[places(fitted.laws)[number]]

@@ -27,7 +27,11 @@ from rx90_emulator.identification.estimates import (
     ParameterEstimate,
     with_passive_fading,
 )
-from rx90_emulator.identification.experiments.plan import IdentificationBags, read_emulated, read_index
+from rx90_emulator.identification.experiments.plan import (
+    IdentificationBags,
+    read_emulated,
+    read_index,
+)
 from rx90_emulator.identification.fitted import PRESLIDING_DISTANCE, RELAXATION
 from rx90_emulator.identification.options import (
     NO_TOLERANCES,
@@ -52,7 +56,9 @@ the motion of an arm has no content near 1 kHz."""
 _MAX_TRAVEL_SHARE = 2.0  # of a joint's range: no offset of the zero explains more travel
 _MAX_SPEED_SHARE = 20.0  # of a joint's limit: descriptions state 1 rad/s where an arm does 5
 _LEAST_TRAVEL = 5e-3  # rad, of the joint that moves most
-_MAX_SHARED = 0.02  # of a validation's travel: two runs of a noiseless engine may begin with the same samples
+_MAX_SHARED = (
+    0.02  # of a validation's travel: two runs of a noiseless engine may begin with the same samples
+)
 
 
 def identify_friction(
@@ -95,11 +101,15 @@ def identify_friction(
     source = RecordedRobot.load(robot, [path for paths in by_use.values() for path in paths])
     truth = read_emulated([*chosen.sliding, *chosen.presliding])
     records = read_records(by_use, source, progress)
-    result = identify_records(records["sliding"], records["presliding"], source, progress, model=model)
+    result = identify_records(
+        records["sliding"], records["presliding"], source, progress, model=model
+    )
     checks = []
     for record in records["validation"]:
         progress(record.source.name)
-        check = validate(source, result.friction.elements, record, tolerances, sliding=result.sliding)
+        check = validate(
+            source, result.friction.elements, record, tolerances, sliding=result.sliding
+        )
         checks.append(replace(check, assumed_bristles=result.assumed_bristles))
     used = tuple((use, record.bag) for use, some in records.items() for record in some)
     alarms = (*log_alarms(records), *result.alarms)
@@ -142,11 +152,15 @@ def check_friction(
     source = RecordedRobot.load(robot, by_use["validation"], follow=True)
     file, lugre, arm = with_friction(source.arm, friction, "a validation by recorded torques")
     source = replace(source, arm=arm)
-    where = "--friction" if isinstance(friction, FrictionFile) else str(resolve_config(str(friction)))
+    where = (
+        "--friction" if isinstance(friction, FrictionFile) else str(resolve_config(str(friction)))
+    )
     currents = (file.identification or {}).get("unit") == "A"
     records = read_records(by_use, source, progress, currents=currents)["validation"]
     if currents and any(record.unit == "Nm" for record in records):
-        raise IdentificationError(f"{where}: its torques are in A; accepted: bags with efforts in A")
+        raise IdentificationError(
+            f"{where}: its torques are in A; accepted: bags with efforts in A"
+        )
     bandwidths = _bandwidths(file, where)
     checks = []
     for record in records:
@@ -178,7 +192,11 @@ def with_friction(
         friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's.
         use: purpose, in words, for a refusal: it supports no parts of the friction but bristles.
     """
-    file = friction if isinstance(friction, FrictionFile) else FrictionFile.read(resolve_config(str(friction)))
+    file = (
+        friction
+        if isinstance(friction, FrictionFile)
+        else FrictionFile.read(resolve_config(str(friction)))
+    )
     names = arm.element_names
     where = "friction" if isinstance(friction, FrictionFile) else str(resolve_config(str(friction)))
     elements = file.select(names, where)
@@ -198,8 +216,12 @@ def _bandwidths(file: FrictionFile, where: str) -> Bandwidths | None:
     found = (file.identification or {}).get("bandwidths")
     if found is None:
         return None
-    values = [found.get(name) for name in ("position", "torque")] if isinstance(found, Mapping) else []
-    numbers = [float(one) for one in values if isinstance(one, float | int) and 0.0 < one < math.inf]
+    values = (
+        [found.get(name) for name in ("position", "torque")] if isinstance(found, Mapping) else []
+    )
+    numbers = [
+        float(one) for one in values if isinstance(one, float | int) and 0.0 < one < math.inf
+    ]
     if len(numbers) != 2:
         raise IdentificationError(
             f"{where}: identification.bandwidths is {plain(str(found))}; accepted: position and torque above 0 Hz"
@@ -212,7 +234,9 @@ def check_given_once(bags: Mapping[str, Sequence[Path]]) -> None:
     for use, paths in bags.items():
         for bag in paths:
             if sum(other.resolve() == bag.resolve() for other in paths) > 1:
-                raise IdentificationError(f"{bag}: given twice for --{use}; accepted: each bag once")
+                raise IdentificationError(
+                    f"{bag}: given twice for --{use}; accepted: each bag once"
+                )
 
 
 def read_records(
@@ -230,11 +254,17 @@ def read_records(
         progress: called with the name of each bag before it is read.
         currents: whether efforts in A without torque constants are taken as they are, in all bags or in none.
     """
-    layouts = [(use, path, robot.layout(path, fast=use != "sliding")) for use, paths in bags.items() for path in paths]
+    layouts = [
+        (use, path, robot.layout(path, fast=use != "sliding"))
+        for use, paths in bags.items()
+        for path in paths
+    ]
     records: dict[str, list[JointRecord]] = {use: [] for use in bags}
     for use, path, layout in layouts:
         progress(path.name)
-        record = read_record(path, layout, _RATES[use], currents=currents).of_joints(robot.arm.names)
+        record = read_record(path, layout, _RATES[use], currents=currents).of_joints(
+            robot.arm.names
+        )
         _check_motion(record, robot.arm, still=use not in ("excitation", "validation"))
         records[use].append(record)
     units = {record.unit: record.source for some in records.values() for record in some}
@@ -252,7 +282,9 @@ def _check_motion(record: JointRecord, arm: RigidArm, *, still: bool) -> None:
     """Refuse motions beyond the description, which are in another unit, and runs in which no joint moves."""
     where = record.source
     if not still and np.ptp(record.position, axis=0).max() < _LEAST_TRAVEL:
-        raise IdentificationError(f"{where}: no joint moves; accepted: runs in which the joints move")
+        raise IdentificationError(
+            f"{where}: no joint moves; accepted: runs in which the joints move"
+        )
     speeds = np.quantile(np.abs(record.velocity), 0.99, axis=0)
     travels = np.ptp(record.position, axis=0)
     limits = zip(record.names, travels, arm.ranges(), speeds, arm.speeds(), strict=True)
@@ -319,17 +351,25 @@ def identify_records(
         cycles = identify_presliding(presliding, arm, known)
     else:
         reason = "no bag with micro-oscillations was given"
-        cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names))
+        cycles = PreslidingFit(
+            tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names)
+        )
     elements = []
     for first, second, other in zip(slides.estimates, cycles.estimates, fallback, strict=True):
         element = _element(first, second.parameters, other, least)
         if other is None:
             element = with_passive_fading(element, None)
-        sources = dict.fromkeys(second.parameters, second.sources) | dict.fromkeys(first.parameters, first.sources)
+        sources = dict.fromkeys(second.parameters, second.sources) | dict.fromkeys(
+            first.parameters, first.sources
+        )
         estimates = {**first.parameters, **second.parameters}
         elements.append(IdentifiedElement(element, estimates, sources))
     return FrictionIdentification(
-        robot=robot, elements=tuple(elements), sliding=slides, presliding=cycles, alarms=slides.alarms
+        robot=robot,
+        elements=tuple(elements),
+        sliding=slides,
+        presliding=cycles,
+        alarms=slides.alarms,
     )
 
 
@@ -337,12 +377,16 @@ def identify_records(
 _NEUTRAL = {"omega_s": 0.1, "delta": 1.0, "c2": 0.0, "alpha": 1.0}
 
 
-def _least_coulomb(sliding: Sequence[ElementEstimate], fallback: Sequence[FrictionElement] | None) -> float:
+def _least_coulomb(
+    sliding: Sequence[ElementEstimate], fallback: Sequence[FrictionElement] | None
+) -> float:
     """Return the least identified Coulomb torque, Nm, which is assumed for elements without any."""
     coulomb = [estimate.parameters["tau_c_positive"] for estimate in sliding]
     known = [estimate.value for estimate in coulomb if estimate.identifiable]
     if not known and fallback is None:
-        reasons = "; ".join(f"{one.element}: {why.reason}" for one, why in zip(sliding, coulomb, strict=True))
+        reasons = "; ".join(
+            f"{one.element}: {why.reason}" for one, why in zip(sliding, coulomb, strict=True)
+        )
         raise IdentificationError(
             f"no friction of any element is identified ({reasons}); accepted: sweeps that tell some, or --fallback "
             "with a friction file"
@@ -365,8 +409,14 @@ def _element(
     values = dict(_NEUTRAL)
     if fallback is not None:
         absent = {name for name, estimate in estimates.items() if estimate.reason == NOT_IN_MODEL}
-        values |= {name: value for name, value in fallback.parameters.items() if name not in {*absent, "alpha"}}
-    values |= {name: estimate.value for name, estimate in estimates.items() if estimate.identifiable}
+        values |= {
+            name: value
+            for name, value in fallback.parameters.items()
+            if name not in {*absent, "alpha"}
+        }
+    values |= {
+        name: estimate.value for name, estimate in estimates.items() if estimate.identifiable
+    }
     for sign in SIGNS:
         coulomb = values.setdefault(f"tau_c_{sign}", least)
         values[f"tau_s_{sign}"] = max(values.get(f"tau_s_{sign}", 0.0), coulomb)

@@ -17,9 +17,17 @@ from rx90_emulator.identification.identify import check_friction
 from rx90_emulator.identification.options import GivenTolerances, RobotOptions
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.output.report import check_page, identification_page
-from rx90_emulator.identification.output.robot_files import folder_base, parameters_text, robot_files
+from rx90_emulator.identification.output.robot_files import (
+    folder_base,
+    parameters_text,
+    robot_files,
+)
 from rx90_emulator.identification.output.summary import check_summary, identification_summary
-from rx90_emulator.identification.result import ExcitationIdentification, FrictionIdentification, objection
+from rx90_emulator.identification.result import (
+    ExcitationIdentification,
+    FrictionIdentification,
+    objection,
+)
 
 REPORT = "report.html"
 PARAMETERS = "parameters.yaml"
@@ -60,16 +68,23 @@ def identification_targets(output: Path, *, folder: bool, force: bool) -> None:
     """
     if not folder:
         if output.suffix == ".html":
-            raise IdentificationError(f"--output {output} is the place of the report; accepted: the name of a .yaml")
+            raise IdentificationError(
+                f"--output {output} is the place of the report; accepted: the name of a .yaml"
+            )
         check_targets(output, output.with_suffix(".html"), force=force)
         return
     if output.exists() and not output.is_dir():
         raise IdentificationError(f"{output} is no folder; accepted: the name of a folder")
-    check_targets(*([output / name for name in _FILES] if output.is_dir() else [output]), force=force)
+    check_targets(
+        *([output / name for name in _FILES] if output.is_dir() else [output]), force=force
+    )
 
 
 def write_identification(
-    result: FrictionIdentification | ExcitationIdentification, output: Path | str, *, force: bool = False
+    result: FrictionIdentification | ExcitationIdentification,
+    output: Path | str,
+    *,
+    force: bool = False,
 ) -> tuple[Path, ...]:
     """Write the files of an identification, all or none, and return their names.
 

@@ -28,11 +28,16 @@ from rx90_emulator.identification.rows.micro_oscillations import (
     find_micro_motions,
 )
 
-_BREAK_AWAY_SHARE = 0.7  # of break-away; beyond it bristles slide, and their torque depends little on c0 and c1
+_BREAK_AWAY_SHARE = (
+    0.7  # of break-away; beyond it bristles slide, and their torque depends little on c0 and c1
+)
 _MIN_RELATIVE_LOAD = 0.25  # of the strongest motion of a group: fainter ones tell little
 _MAX_MOTIONS_PER_BAG = 3  # of a group
 _PASSES = 3  # each with the noise that the previous one left
-_FLOOR = (0.005, 0.01)  # relative deviation of c0 and c1: residuals show neither errors of tau_c, nor of 10 us
+_FLOOR = (
+    0.005,
+    0.01,
+)  # relative deviation of c0 and c1: residuals show neither errors of tau_c, nor of 10 us
 _NEARLY_SLIDING = 0.75  # of an element's Coulomb torque: beyond it small errors of the motion deflect bristles far
 _SLIDING_LOAD = 0.95  # of it: bristles slide
 _MAX_MISFIT = 0.3  # of the friction torque
@@ -82,11 +87,19 @@ def identify_presliding(
     for number, group in enumerate(groups):
         elements = [sliding[e] for e in group.elements]
         break_away = group.break_away(elements)
-        motions = [motion for of_record in motions_of for motion in _most_informative(of_record[number], break_away)]
+        motions = [
+            motion
+            for of_record in motions_of
+            for motion in _most_informative(of_record[number], break_away)
+        ]
         if not motions:
             continue
         result = _GroupFit.of(motions, group, elements)
-        far = [motion for motion, load in zip(motions, result.loads.max(axis=1), strict=True) if load < _NEARLY_SLIDING]
+        far = [
+            motion
+            for motion, load in zip(motions, result.loads.max(axis=1), strict=True)
+            if load < _NEARLY_SLIDING
+        ]
         if 0 < len(far) < len(motions):
             # An element of several joints may nearly slide although the torque of each is far from break-away.
             result = _GroupFit.of(far, group, elements)
@@ -103,7 +116,9 @@ def _most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list
     below = loads[loads <= _BREAK_AWAY_SHARE]
     if not len(below):  # all break away: the smallest is best
         return [motions[int(loads.argmin())]] if motions else []
-    strong = np.flatnonzero((loads <= _BREAK_AWAY_SHARE) & (loads >= _MIN_RELATIVE_LOAD * below.max()))
+    strong = np.flatnonzero(
+        (loads <= _BREAK_AWAY_SHARE) & (loads >= _MIN_RELATIVE_LOAD * below.max())
+    )
     best = strong[np.argsort(-loads[strong])][:_MAX_MOTIONS_PER_BAG]
     return [motions[k] for k in best.tolist()]
 
@@ -116,7 +131,9 @@ class _GroupFit:
     fit: Fit
 
     @classmethod
-    def of(cls, motions: Sequence[MicroMotion], group: JointGroup, elements: Sequence[FrictionElement]) -> _GroupFit:
+    def of(
+        cls, motions: Sequence[MicroMotion], group: JointGroup, elements: Sequence[FrictionElement]
+    ) -> _GroupFit:
         rows = BristleRows(motions, group.inputs, elements)
         problem = rows.problem()
         weight = 1.0 / group.break_away(elements)[problem.group] ** 2
@@ -135,7 +152,10 @@ class _GroupFit:
         """Return the amplitude of each bristle's torque over its Coulomb torque, shape (M, e)."""
         coulomb = [element.tau_c.positive for element in self.rows.elements]
         along = [self.rows.along(self.fit.x, number)[1] for number in range(len(self.rows.motions))]
-        spans = [np.percentile(torque, 99.0, axis=0) - np.percentile(torque, 1.0, axis=0) for torque in along]
+        spans = [
+            np.percentile(torque, 99.0, axis=0) - np.percentile(torque, 1.0, axis=0)
+            for torque in along
+        ]
         return 0.5 * np.array(spans) / coulomb
 
     def loop(self, place: int) -> tuple[Array, dict[str, Array]]:
@@ -145,7 +165,10 @@ class _GroupFit:
         motion = self.rows.motions[largest]
         simulated = self.rows.along(self.fit.x, largest)[0][:, place]
         position = motion.position[:, place]
-        return position - position.mean(), {"measured": motion.friction[:, place], "simulated": simulated}
+        return position - position.mean(), {
+            "measured": motion.friction[:, place],
+            "simulated": simulated,
+        }
 
     def estimates(self, arm: RigidArm, group: JointGroup) -> list[ElementEstimate]:
         """Return the elements' estimates."""
@@ -156,7 +179,9 @@ class _GroupFit:
         for place, e in enumerate(group.elements):
             parameters = {}
             for number, name in enumerate(PRESLIDING, 2 * place):
-                relative = math.hypot(math.sqrt(spread.covariance[number, number]), _FLOOR[number - 2 * place])
+                relative = math.hypot(
+                    math.sqrt(spread.covariance[number, number]), _FLOOR[number - 2 * place]
+                )
                 value = math.exp(self.fit.x[number])
                 reason = doubts[place]
                 if not reason and not (spread.determined[number] and relative < LARGEST_DEVIATION):
@@ -171,7 +196,9 @@ class _GroupFit:
         inertia = np.abs(self.fit.linear)
         first, second = np.triu_indices(len(group.joints))
         worst = int(np.argmax(inertia))
-        heavy = " and ".join(dict.fromkeys(arm.names[group.joints[k]] for k in (first[worst], second[worst])))
+        heavy = " and ".join(
+            dict.fromkeys(arm.names[group.joints[k]] for k in (first[worst], second[worst]))
+        )
         # The residual torque beyond noise over the friction, RMS, of each joint.
         misfit = []
         for joint in range(len(group.joints)):
@@ -181,7 +208,11 @@ class _GroupFit:
             misfit.append(float(np.sqrt(max(beyond, 0.0) / friction)))
         doubts = []
         for place, load in enumerate(self.loads.min(axis=0).tolist()):
-            missed = [joint for joint in np.flatnonzero(group.inputs[place]) if misfit[joint] > _MAX_MISFIT]
+            missed = [
+                joint
+                for joint in np.flatnonzero(group.inputs[place])
+                if misfit[joint] > _MAX_MISFIT
+            ]
             doubt = ""
             if load > _SLIDING_LOAD:
                 doubt = f"its bristles slide in every micro-oscillation: {load:.2g} of the Coulomb torque or more"

@@ -102,8 +102,14 @@ class Content(NamedTuple):
     @classmethod
     def of(cls, position: Array, effort: Array) -> Content:
         """Return the content for positions and efforts as logged, each of shape (m, n)."""
-        numbers = np.rint(np.hstack([position, effort]) / _CONTENT_STEP).astype(np.int64).astype(np.uint64)
-        factor = np.random.default_rng(_HASH_SEED).integers(1, 2**63, (_CONTENT_ROWS, numbers.shape[1]), np.uint64)
+        numbers = (
+            np.rint(np.hstack([position, effort]) / _CONTENT_STEP)
+            .astype(np.int64)
+            .astype(np.uint64)
+        )
+        factor = np.random.default_rng(_HASH_SEED).integers(
+            1, 2**63, (_CONTENT_ROWS, numbers.shape[1]), np.uint64
+        )
         count = max(0, len(numbers) - _CONTENT_ROWS + 1)
         marks = np.zeros(count, np.uint64)
         for k, row in enumerate(factor):
@@ -150,7 +156,9 @@ class JointRecord:
     def of_joints(self, names: Sequence[str]) -> JointRecord:
         """Return the record with all its joints in another order."""
         place = [self.names.index(name) for name in names]
-        values = {field: getattr(self, field)[:, place] for field in ("position", "velocity", "torque")}
+        values = {
+            field: getattr(self, field)[:, place] for field in ("position", "velocity", "torque")
+        }
         return replace(self, names=tuple(names), **values)
 
     @cached_property
@@ -162,7 +170,9 @@ class JointRecord:
     def bag(self) -> BagSource:
         """Return the bag with the figures of its reading."""
         begin = float(self.time[0])
-        return BagSource(self.source, self.sha256, float(self.time[-1]) - begin, self.outliers, begin, self.unit)
+        return BagSource(
+            self.source, self.sha256, float(self.time[-1]) - begin, self.outliers, begin, self.unit
+        )
 
 
 _REST_SPEED = 0.05  # rad/s, and share of the fastest joint's speed: below both a joint rests
@@ -220,7 +230,11 @@ def spikes(values: Array) -> Mask:
 def digest(path: Path | str) -> str:
     """Return the SHA-256 of a bag: of its storage files one after the other, without metadata.yaml."""
     path = Path(path)
-    files = sorted(file for file in path.iterdir() if file.suffix in _STORAGE) if path.is_dir() else [path]
+    files = (
+        sorted(file for file in path.iterdir() if file.suffix in _STORAGE)
+        if path.is_dir()
+        else [path]
+    )
     whole = hashlib.sha256()
     for file in files:
         with file.open("rb") as stream:
@@ -246,7 +260,9 @@ def read_record(
     path = Path(path)
     names = (*layout.messages, *layout.followed)
     count = len(layout.messages)
-    series = read_joint_states(path, layout.topic, names, record_time=layout.record_time, mapping=layout.mapping)
+    series = read_joint_states(
+        path, layout.topic, names, record_time=layout.record_time, mapping=layout.mapping
+    )
     if layout.followed and series.effort is not None:  # whatever it is
         series = replace(series, effort=np.where(np.arange(len(names)) < count, series.effort, 0.0))
     where = f"{path}: {series.topic}"
@@ -267,13 +283,18 @@ def read_record(
     content = Content.of(fields["position"], fields["effort"])
     if layout.torque_delay:
         acted = time - layout.torque_delay
-        fields["effort"] = np.column_stack([np.interp(acted, time, column) for column in fields["effort"].T])
+        fields["effort"] = np.column_stack(
+            [np.interp(acted, time, column) for column in fields["effort"].T]
+        )
     joints = layout.joint_side({name: values[:, :count] for name, values in fields.items()})
     size = 1
     if rate is not None and len(time) > 1:
         recorded = (len(time) - 1) / (time[-1] - time[0])
         size = max(1, round(recorded / rate))
-    means = {name: block_means(np.hstack([joints[name], fields[name][:, count:]]), size) for name in FIELDS}
+    means = {
+        name: block_means(np.hstack([joints[name], fields[name][:, count:]]), size)
+        for name in FIELDS
+    }
     return JointRecord(
         names=(*layout.names, *layout.followed),
         time=block_means(time, size),
@@ -296,13 +317,17 @@ def _unit(where: str, series: JointSeries, layout: BagLayout, *, currents: bool)
         if values is None or np.isnan(values).all():
             raise IdentificationError(f"{where} carries no {name}; accepted: position and effort")
     if not np.nan_to_num(series.fields["effort"]).any():
-        raise IdentificationError(f"{where} carries effort 0 throughout; accepted: measured efforts")
+        raise IdentificationError(
+            f"{where} carries effort 0 throughout; accepted: measured efforts"
+        )
     unit = series.units["effort"]
     if unit == "Nm" or (unit == "A" and layout.torque_constant is not None):
         return "Nm"
     if unit == "A" and currents:
         return "A"
-    raise IdentificationError(f"{where}: its efforts are in {plain(unit)}; accepted: Nm, or A with --torque-constant")
+    raise IdentificationError(
+        f"{where}: its efforts are in {plain(unit)}; accepted: Nm, or A with --torque-constant"
+    )
 
 
 def _check_sizes(where: str, fields: Mapping[str, Array]) -> None:
@@ -312,7 +337,9 @@ def _check_sizes(where: str, fields: Mapping[str, Array]) -> None:
         least = 1.0 / _MAX_VALUE if name == "effort" else 0.0
         if most > _MAX_VALUE or 0.0 < most < least:
             accepted = f"{least:g} to {_MAX_VALUE:g}" if least else f"up to {_MAX_VALUE:g}"
-            raise IdentificationError(f"{where}: the largest {name} is {most:.3g}; accepted: {accepted}")
+            raise IdentificationError(
+                f"{where}: the largest {name} is {most:.3g}; accepted: {accepted}"
+            )
 
 
 def _velocity(where: str, names: Sequence[str], time: Array, fields: Mapping[str, Array]) -> Array:
@@ -350,7 +377,9 @@ def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:
     return np.asarray(rows[~spoilt])
 
 
-_LEAST_STEPS = 5.0  # of an encoder between samples, above which it moves too fast to repeat a position
+_LEAST_STEPS = (
+    5.0  # of an encoder between samples, above which it moves too fast to repeat a position
+)
 
 
 def repeated_samples(position: Array) -> Mask | None:
@@ -406,18 +435,24 @@ def _differentiated(time: Array, position: Array) -> Array:
     even = np.arange(time[0], time[-1] + period / 2.0, period)
     smooth = np.column_stack([np.interp(even, time, column) for column in position.T])
     if 0.4 / period > _BANDWIDTH_HZ and len(even) > 30:
-        smooth = sosfiltfilt(butter(2, _BANDWIDTH_HZ, fs=1.0 / period, output="sos"), smooth, axis=0)
+        smooth = sosfiltfilt(
+            butter(2, _BANDWIDTH_HZ, fs=1.0 / period, output="sos"), smooth, axis=0
+        )
     slope = np.gradient(smooth, period, axis=0)
     return np.column_stack([np.interp(time, even, column) for column in slope.T])
 
 
-def _check_velocity(where: str, names: Sequence[str], time: Array, position: Array, velocity: Array) -> None:
+def _check_velocity(
+    where: str, names: Sequence[str], time: Array, position: Array, velocity: Array
+) -> None:
     """Refuse velocities whose integrals over a window differ from the change of position in size or sign."""
     size = max(1, round(_COMPARED_S * (len(time) - 1) / max(time[-1] - time[0], 1e-9)))
     edges = np.arange(0, len(time), size)
     travelled = cumulative_trapezoid(velocity, time, axis=0, initial=0)
     lasting = np.diff(time[edges])
-    whole = lasting < 2.0 * np.median(lasting) if len(lasting) else np.zeros(0, dtype=np.bool_)  # no gap in it
+    whole = (
+        lasting < 2.0 * np.median(lasting) if len(lasting) else np.zeros(0, dtype=np.bool_)
+    )  # no gap in it
     distance = np.diff(position[edges], axis=0)[whole]
     integral = np.diff(travelled[edges], axis=0)[whole]
     power = (distance**2).sum(axis=0)

@@ -12,7 +12,12 @@ from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.bodies import Consistency
-from rx90_emulator.identification.estimates import PRESLIDING, FrictionCurve, IdentifiedElement, ParameterEstimate
+from rx90_emulator.identification.estimates import (
+    PRESLIDING,
+    FrictionCurve,
+    IdentifiedElement,
+    ParameterEstimate,
+)
 from rx90_emulator.identification.fitted import FittedArm
 from rx90_emulator.identification.presliding import PreslidingFit
 from rx90_emulator.identification.records import BagSource
@@ -61,8 +66,12 @@ def unexplained(runs: Sequence[RunTorques]) -> dict[str, str]:
     texts = {}
     for number, name in enumerate(runs[0].names):
         series = [run.joints[number] for run in runs if len(run.joints[number].recorded)]
-        residual = np.sqrt(sum(len(joint.residual) * float(np.var(joint.residual)) for joint in series))
-        varying = np.sqrt(sum(len(joint.recorded) * float(np.var(joint.recorded)) for joint in series))
+        residual = np.sqrt(
+            sum(len(joint.residual) * float(np.var(joint.residual)) for joint in series)
+        )
+        varying = np.sqrt(
+            sum(len(joint.recorded) * float(np.var(joint.recorded)) for joint in series)
+        )
         if series and residual > UNEXPLAINED * varying:
             share = min(residual / varying, 1.0) if varying else 1.0
             texts[name] = (
@@ -115,12 +124,16 @@ class Identification:
     @property
     def friction(self) -> FrictionSet:
         """Return the friction to simulate this project's robot with."""
-        return FrictionSet(self.arm.element_names, tuple(identified.element for identified in self.elements))
+        return FrictionSet(
+            self.arm.element_names, tuple(identified.element for identified in self.elements)
+        )
 
     @property
     def assumed_bristles(self) -> bool:
         """Return whether c0 or c1 of an element are assumed."""
-        return not all(element.estimates[name].identifiable for element in self.elements for name in PRESLIDING)
+        return not all(
+            element.estimates[name].identifiable for element in self.elements for name in PRESLIDING
+        )
 
     @property
     def confirmed(self) -> bool:
@@ -130,7 +143,11 @@ class Identification:
     @property
     def scope(self) -> str:
         """Return the scope of a verdict, "54 of 63 values are assumed"; "" where nothing is assumed."""
-        known = [estimate.identifiable for element in self.elements for estimate in element.estimates.values()]
+        known = [
+            estimate.identifiable
+            for element in self.elements
+            for estimate in element.estimates.values()
+        ]
         assumed = known.count(False)
         return f"{assumed} of {len(known)} values are assumed" if assumed else ""
 
@@ -212,7 +229,9 @@ class ExcitationIdentification(Identification):
                 side = np.flatnonzero((sign * velocity > low) & (sign * velocity < high))
                 for part in np.array_split(side[np.argsort(velocity[side])], _SPEED_BINS):
                     if len(part) >= _MIN_BIN_SAMPLES:
-                        means.append((velocity[part].mean(), self.fitted.fit.residual[rows[part]].mean()))
+                        means.append(
+                            (velocity[part].mean(), self.fitted.fit.residual[rows[part]].mean())
+                        )
         table = np.reshape(means, (-1, 2))
         return table[:, 0], table[:, 1]
 
@@ -231,7 +250,9 @@ class ExcitationIdentification(Identification):
     @property
     def undetermined(self) -> tuple[str, ...]:
         """Return the names of base parameters that these runs do not determine."""
-        return tuple(parameter.name for parameter in self.base if not parameter.estimate.identifiable)
+        return tuple(
+            parameter.name for parameter in self.base if not parameter.estimate.identifiable
+        )
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
@@ -244,7 +265,11 @@ class ExcitationIdentification(Identification):
         arm = self.arm
         poor = unexplained(self.torques)
         last = [arm.names[np.flatnonzero(row)[-1]] for row in arm.element_matrix]
-        notes = {name: poor[joint] for name, joint in zip(arm.element_names, last, strict=True) if joint in poor}
+        notes = {
+            name: poor[joint]
+            for name, joint in zip(arm.element_names, last, strict=True)
+            if joint in poor
+        }
         for name, text in self._assumed.items():
             notes[name] = f"{text}; {notes[name]}" if name in notes else text
         return notes
@@ -270,7 +295,11 @@ class ExcitationIdentification(Identification):
         texts = []
         names = zip(self.arm.element_names, self.elements, self.fitted.speeds, strict=True)
         for name, identified, (low, high) in names:
-            slow, fast = identified.element.without_parts().steady_torque([low, high]) if high else (0.0, 0.0)
+            slow, fast = (
+                identified.element.without_parts().steady_torque([low, high])
+                if high
+                else (0.0, 0.0)
+            )
             if fast < slow:
                 texts.append(
                     f"the friction of {name} falls from {slow:.3g} Nm at {low:.2g} rad/s to {fast:.3g} Nm at "
@@ -297,5 +326,7 @@ def base_parameters(
         if not effect[k] < size:
             estimate = ParameterEstimate.unknown(NOT_DETERMINED)
         unit = UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2")
-        parameters.append(BaseParameter(name, group, unit, estimate, float(consistency.inertias.base[k])))
+        parameters.append(
+            BaseParameter(name, group, unit, estimate, float(consistency.inertias.base[k]))
+        )
     return tuple(parameters)

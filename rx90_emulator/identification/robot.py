@@ -74,7 +74,9 @@ class BagLayout:
                 f"name {quoted(twice[0])} in the messages for two joints; accepted: each name once"
             )
         if self.turns is not None and abs(np.linalg.det(self.turns)) < 1e-9:
-            raise IdentificationError(f"gears times coupling: {self.turns.tolist()}; accepted: an invertible matrix")
+            raise IdentificationError(
+                f"gears times coupling: {self.turns.tolist()}; accepted: an invertible matrix"
+            )
 
     def joint_side(self, fields: Mapping[str, Array]) -> dict[str, Array]:
         """Return position, rad, velocity, rad/s, and effort, Nm, of the joints, as far as the messages contain them."""
@@ -83,7 +85,10 @@ class BagLayout:
             values["effort"] = values["effort"] * self.torque_constant
         if self.turns is not None:
             inverse = np.linalg.inv(self.turns).T
-            values = {name: column @ (self.turns if name == "effort" else inverse) for name, column in values.items()}
+            values = {
+                name: column @ (self.turns if name == "effort" else inverse)
+                for name, column in values.items()
+            }
         if self.zero is not None:
             values["position"] = values["position"] - self.zero
         return values
@@ -107,9 +112,13 @@ def with_signals(options: Options, logs: Sequence[Path]) -> tuple[Options, LogMa
     mapped = maps[0].messages if maps else {}
     for key in mapped:
         if not hasattr(options, key):
-            raise ConfigError(f"{plain(maps[0].path)}: {key} is of no use here; accepted: without it")
+            raise ConfigError(
+                f"{plain(maps[0].path)}: {key} is of no use here; accepted: without it"
+            )
         if getattr(options, key) not in (None, False):
-            raise ConfigError(f"{_option(key)} beside {key} in {plain(maps[0].path)}; accepted: one of them")
+            raise ConfigError(
+                f"{_option(key)} beside {key} in {plain(maps[0].path)}; accepted: one of them"
+            )
     return replace(options, **mapped), given
 
 
@@ -126,7 +135,9 @@ def _check_sizes(options: MessageOptions, joints: int) -> None:
             continue
         if len(values) != size:
             given = counted(len(values), "value")
-            raise IdentificationError(f"{_option(name)}: {given}; accepted: {size} for {counted(joints, 'joint')}")
+            raise IdentificationError(
+                f"{_option(name)}: {given}; accepted: {size} for {counted(joints, 'joint')}"
+            )
         if name != "names" and not np.isfinite(values).all():
             raise IdentificationError(f"{_option(name)}: {list(values)}; accepted: finite numbers")
 
@@ -158,7 +169,9 @@ def arm_layout(
         if gear is not None:
             usual = own_drives().turning.turns
         elif options.coupling is not None:
-            raise IdentificationError("coupling without gears; accepted: for the motors' states, with their --gear")
+            raise IdentificationError(
+                "coupling without gears; accepted: for the motors' states, with their --gear"
+            )
     coupling = usual if options.coupling is None else np.reshape(options.coupling, (n, n))
     return BagLayout(
         topic=topic,
@@ -199,7 +212,11 @@ def recorded_topic(bag: Path, topics: Sequence[str], mapping: LogMapping | None 
     for topic in topics:
         if absolute(topic) in there:
             return topic
-    missing = f"neither {MOTOR_STATES} nor {JOINT_STATES}" if len(topics) > 1 else f"no topic {plain(topics[0])}"
+    missing = (
+        f"neither {MOTOR_STATES} nor {JOINT_STATES}"
+        if len(topics) > 1
+        else f"no topic {plain(topics[0])}"
+    )
     raise IdentificationError(
         f"{bag}: {missing}; there are {', '.join(sorted(there)) or 'no topics'}; accepted: --topic"
     )
@@ -208,12 +225,23 @@ def recorded_topic(bag: Path, topics: Sequence[str], mapping: LogMapping | None 
 def message_names(log: Path, topic: str, mapping: LogMapping | None = None) -> tuple[str, ...]:
     """Return the names in the first message of a JointState topic of a bag, or those of a table."""
     if is_table(log):
-        columns = {absolute(name): part.names or () for name, part in mapping_of(log, mapping).by_topic.items()}
+        columns = {
+            absolute(name): part.names or ()
+            for name, part in mapping_of(log, mapping).by_topic.items()
+        }
         return columns.get(absolute(topic), ())
     with BagReader(log) as reader:
-        there = [entry for entry in reader.topics if entry.name == absolute(topic) and entry.is_joint_state]
+        there = [
+            entry
+            for entry in reader.topics
+            if entry.name == absolute(topic) and entry.is_joint_state
+        ]
         first = next(reader.messages(there), None) if there else None
-        return () if first is None else tuple(str(name) for name in reader.deserialize(first[0], first[2]).name)
+        return (
+            ()
+            if first is None
+            else tuple(str(name) for name in reader.deserialize(first[0], first[2]).name)
+        )
 
 
 def _of_joints(options: RobotOptions) -> RobotOptions:
@@ -232,13 +260,21 @@ def _of_joints(options: RobotOptions) -> RobotOptions:
 
 
 def _followed(
-    urdf: Path, arm: RigidArm, options: RobotOptions, logs: Sequence[Path], mapping: LogMapping | None
+    urdf: Path,
+    arm: RigidArm,
+    options: RobotOptions,
+    logs: Sequence[Path],
+    mapping: LogMapping | None,
 ) -> tuple[str, ...]:
     """Return the joints that all logs contain besides an arm's, and whose motion affects it."""
     topic = options.topic or JOINT_STATES
     there = set(movable_joints(urdf)) if logs else set()
     for log in logs:
-        there &= set(message_names(log, recorded_topic(log, (topic,), mapping) if is_table(log) else topic, mapping))
+        there &= set(
+            message_names(
+                log, recorded_topic(log, (topic,), mapping) if is_table(log) else topic, mapping
+            )
+        )
     others = there - {*arm.names, *(options.names or ())}
     if not others:
         return ()
@@ -271,7 +307,12 @@ class RecordedRobot:
 
     @classmethod
     def load(
-        cls, options: RobotOptions, logs: Sequence[Path] = (), *, massless: bool = False, follow: bool = False
+        cls,
+        options: RobotOptions,
+        logs: Sequence[Path] = (),
+        *,
+        massless: bool = False,
+        follow: bool = False,
     ) -> RecordedRobot:
         """Return the robot that the options describe.
 
@@ -286,7 +327,9 @@ class RecordedRobot:
         ours = options.urdf is None
         for name in ("joints", "rotor_inertia", "spring") if ours else ("robot", "tool", "drives"):
             if getattr(options, name) is not None:
-                accepted = "with --urdf of another robot" if ours else "for this project's robot alone"
+                accepted = (
+                    "with --urdf of another robot" if ours else "for this project's robot alone"
+                )
                 how = "without" if ours else "with"
                 raise IdentificationError(f"{_option(name)} {how} --urdf; accepted: {accepted}")
         if options.urdf is None:
@@ -294,19 +337,30 @@ class RecordedRobot:
             setup = Setup.load(files)
             arm = RigidArm.from_setup(setup)
             _check_sizes(options, len(arm.names))
-            return _with_fallback(cls(arm, setup, options, mapping=mapping), options.fallback or files.text("friction"))
+            return _with_fallback(
+                cls(arm, setup, options, mapping=mapping),
+                options.fallback or files.text("friction"),
+            )
         urdf = Path(options.urdf)
         options = _of_joints(options)
         arm = RigidArm.from_urdf(urdf, options.joints, massless=massless)
-        arm_layout(options.topic or JOINT_STATES, arm.names, options)  # refused before any bag is read
+        arm_layout(
+            options.topic or JOINT_STATES, arm.names, options
+        )  # refused before any bag is read
         others = _followed(urdf, arm, options, logs, mapping) if follow else ()
         # The gears of joints that follow are not known.
         followed = others if options.gear is None else ()
         held = () if options.gear is None else others
-        coupling = None if options.coupling is None else np.reshape(options.coupling, arm.coupling.shape)
+        coupling = (
+            None if options.coupling is None else np.reshape(options.coupling, arm.coupling.shape)
+        )
         drives = (coupling, options.rotor_inertia, options.spring)
-        arm = RigidArm.from_urdf(urdf, options.joints, *drives, massless=massless, followed=followed)
-        return _with_fallback(cls(arm, None, options, mapping=mapping, held=held), options.fallback or "none")
+        arm = RigidArm.from_urdf(
+            urdf, options.joints, *drives, massless=massless, followed=followed
+        )
+        return _with_fallback(
+            cls(arm, None, options, mapping=mapping, held=held), options.fallback or "none"
+        )
 
     @property
     def zero(self) -> Array | None:
@@ -336,7 +390,9 @@ class RecordedRobot:
             topic = topic or JOINT_STATES
             topic = recorded_topic(bag, (topic,), self.mapping) if is_table(bag) else topic
             joints = np.array(self.arm.names)[self.arm.identified].tolist()
-            return replace(arm_layout(topic, joints, self.options, None, self.mapping), followed=self.followed)
+            return replace(
+                arm_layout(topic, joints, self.options, None, self.mapping), followed=self.followed
+            )
         check_robot(bag, setup.robot.model.name)
         topics = (MOTOR_STATES, JOINT_STATES) if fast else (JOINT_STATES, MOTOR_STATES)
         topic = topic or recorded_topic(bag, topics, self.mapping)

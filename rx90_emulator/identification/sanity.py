@@ -66,7 +66,11 @@ class Recorded:
         motion = np.concatenate([motion for motion, _ in parts], axis=1)
         later = np.concatenate([torque for _, torque in parts], axis=1)
         velocity = motion[1] @ arm.element_matrix.T
-        usual = np.quantile(np.abs(velocity), 0.9, axis=0) if len(velocity) else np.zeros(velocity.shape[1])
+        usual = (
+            np.quantile(np.abs(velocity), 0.9, axis=0)
+            if len(velocity)
+            else np.zeros(velocity.shape[1])
+        )
         slow = (np.abs(velocity) < np.minimum(_SLOW_SPEED, 0.1 * usual)) | ~moving(velocity)
         used = ~(slow @ (arm.element_matrix != 0.0)) & arm.identified
         block = (np.arange(len(used)) * step / _BLOCK_S).astype(np.intp)
@@ -86,7 +90,9 @@ def _filtered(record: JointRecord, step: float) -> tuple[Array, Array]:
     if count < 1:
         return np.empty((3, 0, position.shape[1])), np.empty((len(LAGS), 0, position.shape[1]))
     even = np.arange(stamp[0], stamp[-1], 1.0 / rate)
-    series = np.column_stack([np.interp(even, stamp, column) for column in np.hstack([position, torque]).T])
+    series = np.column_stack(
+        [np.interp(even, stamp, column) for column in np.hstack([position, torque]).T]
+    )
     sections = butter(2, band, fs=rate, output="sos")
     curve = CubicSpline(even, sosfiltfilt(sections, series, axis=0))
     at = record.time[0] + margin + step * np.arange(count)
@@ -125,7 +131,9 @@ class Mistake(NamedTuple):
         """Return right positions for given ones of so many motors, shape (n, n), and efforts likewise."""
         motors = list(self.motors)
         matrices = [np.eye(count), np.eye(count)]
-        for matrix, sign, swapped in zip(matrices, (self.motion, self.effort), self.swapped, strict=True):
+        for matrix, sign, swapped in zip(
+            matrices, (self.motion, self.effort), self.swapped, strict=True
+        ):
             matrix[motors] = sign * matrix[motors[::-1] if swapped else motors]
         return matrices
 
@@ -169,7 +177,9 @@ class _SimplestModel:
         self._weight = 1.0 / size[joint]
         rigid = StandardColumns(arm).torque(*motion)[used] * self._weight[:, None]
         length = np.linalg.norm(rigid, axis=0)
-        directions, share, _ = np.linalg.svd(rigid[:, length > 0.0] / length[length > 0.0], full_matrices=False)
+        directions, share, _ = np.linalg.svd(
+            rigid[:, length > 0.0] / length[length > 0.0], full_matrices=False
+        )
         self._basis = directions[:, share > 1e-6 * share[0]]
         velocity = motion[1] @ arm.element_matrix.T
         shares = np.tile(arm.element_matrix.T, 2)
@@ -211,7 +221,9 @@ class _Trials:
         self._turns = factors[0][:, None] * arm.coupling
         self._push = self._turns.T * factors[1]
         # At each delay that can be tried, of which the middle one is none.
-        self._take(recorded.motion, recorded.torque[None] if recorded.later is None else recorded.later)
+        self._take(
+            recorded.motion, recorded.torque[None] if recorded.later is None else recorded.later
+        )
 
     def _take(self, motion: Array, torques: Array) -> None:
         """Go on with a motion, and with torques at all delays."""
@@ -224,7 +236,10 @@ class _Trials:
     def undo(self, joints: Sequence[int]) -> Mistake | None:
         """Undo the mistake that explains the torque best, and return it, if it does so clearly."""
         delays = LAGS if len(self._torques) == len(LAGS) else LAGS[:0]
-        mistakes = [*(Mistake("delay of the torques", delay=float(lag)) for lag in delays), *_mistakes(joints)]
+        mistakes = [
+            *(Mistake("delay of the torques", delay=float(lag)) for lag in delays),
+            *_mistakes(joints),
+        ]
         trials = [(mistake, *self._without(mistake)) for mistake in mistakes]
 
         def unlikelihood(trial: tuple[Mistake, Array, Array, Array]) -> float:
@@ -256,14 +271,18 @@ class _Trials:
             motion[0][:, list(mistake.motors)] -= mistake.turns
             model = self._fitted(motion)
         residual = model.residual(torques[len(torques) // 2])
-        if mistake.swapped[1]:  # a joint that rests has little torque, of which any model leaves little
+        if mistake.swapped[
+            1
+        ]:  # a joint that rests has little torque, of which any model leaves little
             residual = residual * np.maximum(self._size / self._usual(torques), 1.0)[self._joint]
         return motion, torques, residual
 
     def _usual(self, torques: Array) -> Array:
         """Return the RMS of the torque of no delay at each joint where it is used, Nm, shape (n,)."""
         used = self._used | ~self._used.any(axis=0)
-        return np.asarray(np.sqrt(np.mean(torques[len(torques) // 2] ** 2, axis=0, where=used)) + 1e-9)
+        return np.asarray(
+            np.sqrt(np.mean(torques[len(torques) // 2] ** 2, axis=0, where=used)) + 1e-9
+        )
 
     def _clear(self, residual: Array) -> bool:
         """Return whether a residual is clearly less than the one now: in sum, or in nearly all blocks."""
@@ -307,11 +326,17 @@ def find_mistakes(
     while mistake := trials.undo(unnamed):
         mistakes.append(mistake)
         unnamed = [joint for joint in unnamed if joint not in mistake.motors]
-    return mistakes, f"{before:.1%} of the torques are unexplained, with this undone {trials.unexplained:.1%}"
+    return (
+        mistakes,
+        f"{before:.1%} of the torques are unexplained, with this undone {trials.unexplained:.1%}",
+    )
 
 
 def mistake_alarms(
-    arm: RigidArm, recorded: Recorded, options: RobotOptions = SHIPPED_ROBOT, zero: Array | None = None
+    arm: RigidArm,
+    recorded: Recorded,
+    options: RobotOptions = SHIPPED_ROBOT,
+    zero: Array | None = None,
 ) -> tuple[str, ...]:
     """Return in a sentence which mistakes `find_mistakes` finds, and what to write instead.
 
@@ -337,7 +362,9 @@ def mistake_alarms(
         if any(mistake.swapped):
             accepted.append("names or columns of these two in the other order")
         if mistake.delay:
-            accepted.append(f"torque_delay: {options.torque_delay - mistake.delay:.3g} in the signal map")
+            accepted.append(
+                f"torque_delay: {options.torque_delay - mistake.delay:.3g} in the signal map"
+            )
     if any(mistake.motion < 0.0 for mistake in mistakes):
         accepted.append(_option("gear", gear))
     if any(mistake.motion * mistake.effort < 0.0 for mistake in mistakes):
@@ -431,7 +458,9 @@ def moved_bodies(described: RigidArm, result: RigidArm) -> tuple[MovedBodies, ..
     after = _moved(result)
     moved = []
     for joint, name in enumerate(described.names):
-        mass, moment, inertia = zip(before[:, joint].tolist(), after[:, joint].tolist(), strict=True)
+        mass, moment, inertia = zip(
+            before[:, joint].tolist(), after[:, joint].tolist(), strict=True
+        )
         moved.append(MovedBodies(name, mass, moment, inertia))
     return tuple(moved)
 
@@ -446,7 +475,9 @@ def _moved(arm: RigidArm) -> Array:
     inertia = np.diag(pin.crba(model, data, zero) + arm.rotor)
     axes = pin.computeJointJacobians(model, data, zero)[3:].T
     frames = list(data.oMi)[1:]
-    centres = [frame.rotation @ centre for frame, centre in zip(frames, list(data.com)[1:], strict=True)]
+    centres = [
+        frame.rotation @ centre for frame, centre in zip(frames, list(data.com)[1:], strict=True)
+    ]
     return np.stack([mass, mass * np.linalg.norm(np.cross(axes, centres), axis=1), inertia])
 
 
@@ -456,11 +487,15 @@ _MASS_RATIO = 4.0  # of what a joint moves by the result to the described
 def body_alarms(bodies: Sequence[MovedBodies]) -> tuple[str, ...]:
     """Return in a sentence that most joints move far more, or far less, than described; a payload is at the last."""
     masses = {moved.joint: moved.mass for moved in bodies}
-    ratios = {name: after / before if before > 0.0 else 1.0 for name, (before, after) in masses.items()}
+    ratios = {
+        name: after / before if before > 0.0 else 1.0 for name, (before, after) in masses.items()
+    }
     far = _far(ratios, _MASS_RATIO)
     if not far:
         return ()
-    texts = [f"{name} {masses[name][1]:.3g} kg ({masses[name][0]:.3g} kg described)" for name in far]
+    texts = [
+        f"{name} {masses[name][1]:.3g} kg ({masses[name][0]:.3g} kg described)" for name in far
+    ]
     payload = ", or, where all joints move as much more, its payload in the description"
     return (
         f"the bodies of the result are not the described ones: {', '.join(texts)}; accepted: gears, units and torque "

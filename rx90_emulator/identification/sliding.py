@@ -34,7 +34,9 @@ MIN_SPEEDS = 5
 """Least number of speeds in each direction: four determine the seven parameters of an element, and one more leaves a
 degree of freedom."""
 _SAME_SPEED_RATIO = 1.1  # of speeds, up to which they count as one
-_MOST_DIFFERENCE = 0.1  # deviation of the difference of two Coulomb torques, over their sum, that tells both
+_MOST_DIFFERENCE = (
+    0.1  # deviation of the difference of two Coulomb torques, over their sum, that tells both
+)
 _MAX_RELATIVE_SD = 0.3  # relative standard deviation up to which a parameter is identifiable
 _LINE_POINTS = 100
 _DOES_NOT_SLIDE = "does not slide at constant velocity; accepted: sweeps in both directions"
@@ -68,7 +70,10 @@ class SlidingFit:
 
 
 def identify_sliding(
-    records: Sequence[JointRecord], arm: RigidArm, zero: Array | None = None, model: Sequence[str] | None = None
+    records: Sequence[JointRecord],
+    arm: RigidArm,
+    zero: Array | None = None,
+    model: Sequence[str] | None = None,
 ) -> SlidingFit:
     """Fit tau_c+-, tau_s+-, omega_s, delta, c2 and, where the data prefer one, alpha of every element that slides.
 
@@ -105,25 +110,40 @@ def identify_sliding(
     where_of = zip(laws, places(laws), strict=True)
     untold = [_untold(law, result.x[place], spread, place) for law, place in where_of]
     if any(untold):
-        even = [replace(law, balanced=law.balanced or alone) for law, alone in zip(laws, untold, strict=True)]
+        even = [
+            replace(law, balanced=law.balanced or alone)
+            for law, alone in zip(laws, untold, strict=True)
+        ]
         other = fit_laws(rows.friction, even, result.weight, fitted_values(laws, result.x))
-        if other.at_bound.sum() <= result.at_bound.sum():  # else the data contradict, and the deviations say the rest
+        if (
+            other.at_bound.sum() <= result.at_bound.sum()
+        ):  # else the data contradict, and the deviations say the rest
             laws = even
             result = other
             spread = deviations(result)
     sources = tuple(record.bag for record in records)
-    estimates = [ElementEstimate.unknown(name, SLIDING, lacking.get(name, ""), sources) for name in names]
+    estimates = [
+        ElementEstimate.unknown(name, SLIDING, lacking.get(name, ""), sources) for name in names
+    ]
     curves: list[FrictionCurve | None] = [None] * len(names)
     for k, e in enumerate(known.tolist()):
         place = places(laws)[k]
         law = laws[k]
-        if result.at_bound[place][: len(law.sizes)].all():  # all torques are 0; they may be a weight in another pose
+        if result.at_bound[place][
+            : len(law.sizes)
+        ].all():  # all torques are 0; they may be a weight in another pose
             error = (
                 f"{where}: {names[e]}: the torque does not oppose the motion; accepted: efforts of the sign with which "
                 "the drive moves the joint (check the signs of gears and torque constants)"
             )
             raise IdentificationError("; ".join((error, *doubts)))
-        element = _Element(names[e], law, result.x[place], spread.covariance[place, place], spread.determined[place])
+        element = _Element(
+            names[e],
+            law,
+            result.x[place],
+            spread.covariance[place, place],
+            spread.determined[place],
+        )
         estimates[e] = element.estimate(rows.friction.elements[k].speeds, parts, sources)
         curves[e] = element.curve(rows, k, result)
     scale = arm.inertial_scale()
@@ -197,7 +217,11 @@ def _untold(law: Law, x: Array, spread: Deviations, place: slice) -> bool:
 
 
 def _shaped(law: Law) -> Law:
-    return replace(law, parts=law.parts | {Part.STRIBECK_EXPONENT}) if Part.STRIBECK in law.parts else law
+    return (
+        replace(law, parts=law.parts | {Part.STRIBECK_EXPONENT})
+        if Part.STRIBECK in law.parts
+        else law
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,14 +234,18 @@ class _Element:
     covariance: Array
     determined: Mask
 
-    def estimate(self, speeds: Speeds, parts: Sequence[str] | None, sources: tuple[BagSource, ...]) -> ElementEstimate:
+    def estimate(
+        self, speeds: Speeds, parts: Sequence[str] | None, sources: tuple[BagSource, ...]
+    ) -> ElementEstimate:
         """Return the estimates, given the speeds with data, and the parts that were asked for, if any."""
         values, slopes = self.law.natural(self.x)
         deviations_of = np.sqrt(np.diag(slopes @ self.covariance @ slopes.T)).tolist()
         spread = dict(zip(values, deviations_of, strict=True))
         told = (slopes[:, ~self.determined] == 0.0).all(axis=1)
         known = dict(zip(values, told.tolist(), strict=True))
-        absent = f"no Stribeck effect shows at speeds from {speeds.low:.3g} to {speeds.high:.3g} rad/s"
+        absent = (
+            f"no Stribeck effect shows at speeds from {speeds.low:.3g} to {speeds.high:.3g} rad/s"
+        )
         if parts is not None and Part.STRIBECK.value not in parts:
             absent = NOT_IN_MODEL
         estimates = {}

@@ -76,21 +76,31 @@ def run_ticks(
             store(slow.joint_states[row, 1], load(state.v, n))
             store(slow.joint_states[row, 2], load(state.drive_torque, n))
             store(slow.friction_states[row, 0], load(state.z, size(state.z)))
-            friction_states(plants, plant_states, slow.friction_states[row, 1], slow.friction_states[row, 2])
-            if position_loop(laws, law_states, setpoint, state.motor_position, state.motor_velocity):
+            friction_states(
+                plants, plant_states, slow.friction_states[row, 1], slow.friction_states[row, 2]
+            )
+            if position_loop(
+                laws, law_states, setpoint, state.motor_position, state.motor_velocity
+            ):
                 return k - first, TRIPPED
         velocity_loop(laws, law_states, state.motor_velocity)
         if slow_tick:
             _keep_law(laws[0].gear, law, setpoint, row, slow)
             if sensed:
-                store(slow.details[row, 2], load(state.sensor.torque, n) / load(laws[0].torque_constant, n))
+                store(
+                    slow.details[row, 2],
+                    load(state.sensor.torque, n) / load(laws[0].torque_constant, n),
+                )
         if slow.temperatures.shape[0] > 0 and k % warm_ticks == 0:
             slow.temperatures[k // warm_ticks] = state.parts.temperature.temperature
             slow.windings[k // warm_ticks] = state.temperature
         if fast.motor_commands.shape[0] > 0:
             store(fast.motor_states[k, 0], load(state.motor_position, n))
             store(fast.motor_states[k, 1], load(state.motor_velocity, n))
-            store(fast.motor_states[k, 2], load(state.sensor.torque if sensed else state.motor_torque, n))
+            store(
+                fast.motor_states[k, 2],
+                load(state.sensor.torque if sensed else state.motor_torque, n),
+            )
             store(fast.motor_commands[k], load(law.command, n))
         joint = plant_step(plants, plant_states, law.command, True)
         if joint >= 0:
@@ -114,7 +124,9 @@ def _keep_law(gear: Any, law: Any, setpoint: Array, row: int, slow: SlowSeries) 
 
 
 @kernel
-def peaks_and_work(joints: Array, friction: Array, tracking: Array, period: float, peaks: Array, work: Array) -> None:
+def peaks_and_work(
+    joints: Array, friction: Array, tracking: Array, period: float, peaks: Array, work: Array
+) -> None:
     """Find the peaks of velocity, torque and tracking error, shape (3, joints), and the friction's work, J, shape (e,).
 
     Args:
@@ -133,7 +145,10 @@ def peaks_and_work(joints: Array, friction: Array, tracking: Array, period: floa
                     peaks[k, j] = abs(values[k])
         if n > 0:
             for e in range(len(work)):
-                power = friction[n, 1, e] * friction[n, 2, e] + friction[n - 1, 1, e] * friction[n - 1, 2, e]
+                power = (
+                    friction[n, 1, e] * friction[n, 2, e]
+                    + friction[n - 1, 1, e] * friction[n - 1, 2, e]
+                )
                 work[e] += period * power / 2.0
 
 
@@ -213,17 +228,32 @@ def simulate_commands(
     controller.reset(plant.motor_states()[0])
     warm = bool(plant.temperatures.elements) or setup.drives.winding.used
     fast, slow = empty_series(
-        ticks, rates.ratio, record_fast, rates.temperature_ticks if warm else 0, arm=setup.drives.turning.size
+        ticks,
+        rates.ratio,
+        record_fast,
+        rates.temperature_ticks if warm else 0,
+        arm=setup.drives.turning.size,
     )
     setpoints = (sample or setpoints_of)(controller.trajectory, commands, len(slow.joint_states))
     run_setpoints(plant, controller, setpoints, ticks, fast, slow)
     if warn:
         setup.warn_of_heat(slow.temperatures)
-    slow = slow._replace(correction=np.ascontiguousarray(setpoints[:, 3:].reshape(-1, setpoints.shape[2])))
-    return RunResult(setup, fast if record_fast else None, slow, controller.saturated, tuple(commands), plant.substeps)
+    slow = slow._replace(
+        correction=np.ascontiguousarray(setpoints[:, 3:].reshape(-1, setpoints.shape[2]))
+    )
+    return RunResult(
+        setup,
+        fast if record_fast else None,
+        slow,
+        controller.saturated,
+        tuple(commands),
+        plant.substeps,
+    )
 
 
-def setpoints_of(generator: TrajectoryGenerator, commands: Sequence[MotionCommand], count: int) -> Array:
+def setpoints_of(
+    generator: TrajectoryGenerator, commands: Sequence[MotionCommand], count: int
+) -> Array:
     """Return the set-points of `count` position ticks, (count, 3, n); with a correction's offsets (count, 4, n)."""
     parts = []
     at = 0
@@ -237,7 +267,9 @@ def setpoints_of(generator: TrajectoryGenerator, commands: Sequence[MotionComman
             generator.accept(points, begin, start, correction)
     parts.append(generator.corrected(at, count - at))
     rows = max(part.shape[1] for part in parts)
-    return np.concatenate([np.pad(part, ((0, 0), (0, rows - part.shape[1]), (0, 0))) for part in parts])
+    return np.concatenate(
+        [np.pad(part, ((0, 0), (0, rows - part.shape[1]), (0, 0))) for part in parts]
+    )
 
 
 def run_setpoints(

@@ -42,7 +42,9 @@ _UNEVEN = 0.25  # of the way between two points
 _NEWTON = 3  # steps to the nearest place
 _SLOWEST = 1e-6  # square of the speed by the parameter, which is that along the chords
 _STRAIGHT = 1e-9  # of the length of a spline: how far a straight one may be off its chord
-_CORNER = 0.02  # rad, between secants of a spline before and behind a knot, each over _SECANT of its span
+_CORNER = (
+    0.02  # rad, between secants of a spline before and behind a knot, each over _SECANT of its span
+)
 _SECANT = 1e-3
 _HEAD = re.compile(r"\s*(\w+)\s*(?:\[\s*(\w+)\s*\])?\s*")
 
@@ -134,7 +136,9 @@ class Drawing:
         origin = np.array(self.origin)
 
         def placed(point: Any) -> tuple[float, ...]:
-            return tuple((turn @ (np.array(point, dtype=np.float64) * UNITS[unit]) + origin).tolist())
+            return tuple(
+                (turn @ (np.array(point, dtype=np.float64) * UNITS[unit]) + origin).tolist()
+            )
 
         found = [
             replace(
@@ -158,7 +162,11 @@ class Drawing:
             last = piece.at(np.array([piece.length]), 1)[0]
             first = after.at(np.zeros(1), 1)[0]
             turn = math.atan2(float(np.linalg.norm(np.cross(last, first))), float(last @ first))
-            zone = min(self.zone, 0.5 * piece.length, 0.5 * after.length) if KINK < turn < math.radians(168.0) else 0.0
+            zone = (
+                min(self.zone, 0.5 * piece.length, 0.5 * after.length)
+                if KINK < turn < math.radians(168.0)
+                else 0.0
+            )
             rounded.append(replace(one, zone=zone))
         return (*rounded, segments[-1])
 
@@ -181,7 +189,9 @@ class Drawing:
             self._refuse(f"holds {counted(len(rows), 'point')}; accepted: two or more")
         for number, (a, b) in enumerate(pairwise(rows), 1):
             if a == b:
-                self._refuse(f"points {number} and {number + 1} are both {a}; accepted: different points")
+                self._refuse(
+                    f"points {number} and {number + 1} are both {a}; accepted: different points"
+                )
         if self.points == "spline" and len(rows) > 2:
             return unit, rows[0], [Segment(tuple(rows[1:]), "spline")]
         return unit, rows[0], [Segment((row,)) for row in rows[1:]]
@@ -214,12 +224,28 @@ class Drawing:
                 for one in self._entity(entity, UNITS[unit])
             ]
         except StopIteration as error:
-            raise ConfigError(f"{plain(self.file)}: ends within its header; accepted: a whole DXF file") from error
-        except (OSError, ValueError, LookupError, ArithmeticError, TypeError, AttributeError, DXFError) as error:
-            raise ConfigError(f"{plain(self.file)}: cannot be read ({error}); accepted: a DXF file") from error
+            raise ConfigError(
+                f"{plain(self.file)}: ends within its header; accepted: a whole DXF file"
+            ) from error
+        except (
+            OSError,
+            ValueError,
+            LookupError,
+            ArithmeticError,
+            TypeError,
+            AttributeError,
+            DXFError,
+        ) as error:
+            raise ConfigError(
+                f"{plain(self.file)}: cannot be read ({error}); accepted: a DXF file"
+            ) from error
         if not drawn:
             known = sorted({entity.dxf.layer for entity in space})
-            where = "" if self.layer is None else f" on the layer {quoted(self.layer)} (there are {', '.join(known)})"
+            where = (
+                ""
+                if self.layer is None
+                else f" on the layer {quoted(self.layer)} (there are {', '.join(known)})"
+            )
             self._refuse(f"holds no path{where}; accepted: lines, arcs and splines")
         self._check_count(sum(len(segment.points) for _, segment in drawn))
         return unit, *self._chained(drawn)
@@ -235,7 +261,9 @@ class Drawing:
         if self.unit is None or self.unit == named:
             return self._unit(named)
         said = "names no unit" if named is None else f"is in {named}"
-        warn_caller([f"{plain(self.file)}: {said}; read in {self.unit}, as its unit in the path says"])
+        warn_caller(
+            [f"{plain(self.file)}: {said}; read in {self.unit}, as its unit in the path says"]
+        )
         return self.unit
 
     def _tags(self, content: bytes) -> Iterator[Any]:
@@ -245,7 +273,9 @@ class Drawing:
 
         if is_binary_dxf_file(str(self.file)):
             return binary_tags_loader(content)
-        return ascii_tags_loader(io.TextIOWrapper(io.BytesIO(content), encoding="utf-8", errors="replace"))
+        return ascii_tags_loader(
+            io.TextIOWrapper(io.BytesIO(content), encoding="utf-8", errors="replace")
+        )
 
     def _entity(self, entity: Any, unit: float) -> list[_Drawn]:
         """Return what an entity draws, in its order; the drawing's unit is in m."""
@@ -261,8 +291,15 @@ class Drawing:
                 first = tuple(entity.start_point)
                 last = tuple(entity.end_point)
             else:
-                first = last = tuple(ocs.to_wcs(dxf.center + type(dxf.center)(dxf.radius, 0.0, 0.0)))
-            return [(first, Segment((last,), "arc", tuple(ocs.to_wcs(dxf.center)), tuple(dxf.extrusion)))]
+                first = last = tuple(
+                    ocs.to_wcs(dxf.center + type(dxf.center)(dxf.radius, 0.0, 0.0))
+                )
+            return [
+                (
+                    first,
+                    Segment((last,), "arc", tuple(ocs.to_wcs(dxf.center)), tuple(dxf.extrusion)),
+                )
+            ]
         if kind in ("LWPOLYLINE", "POLYLINE"):
             return [part for each in entity.virtual_entities() for part in self._entity(each, unit)]
         if kind == "SPLINE":
@@ -276,15 +313,24 @@ class Drawing:
     def _spline(self, curve: Any, unit: float) -> list[_Drawn]:
         """Return the parts of a drawing's spline from corner to corner, each through as many points as it takes."""
         known = curve.knots()
-        if not (np.isfinite(known).all() and np.diff(known).min() >= 0.0 < known[curve.count] - known[curve.degree]):
+        if not (
+            np.isfinite(known).all()
+            and np.diff(known).min() >= 0.0 < known[curve.count] - known[curve.degree]
+        ):
             self._refuse(
                 f"a spline with the knots {quoted(known)}; accepted: finite numbers, none below the one before it"
             )
-        if curve.is_rational and not (np.isfinite(curve.weights()).all() and min(curve.weights()) > 0.0):
-            self._refuse(f"a spline with the weights {quoted(curve.weights())}; accepted: finite numbers > 0")
+        if curve.is_rational and not (
+            np.isfinite(curve.weights()).all() and min(curve.weights()) > 0.0
+        ):
+            self._refuse(
+                f"a spline with the weights {quoted(curve.weights())}; accepted: finite numbers > 0"
+            )
         if not np.isfinite(np.array([tuple(point) for point in curve.control_points])).all():
             self._refuse("a spline with a point that is no place; accepted: finite coordinates")
-        knots = sorted({*known[curve.degree : curve.count + 1]})  # before and behind these it is not defined
+        knots = sorted(
+            {*known[curve.degree : curve.count + 1]}
+        )  # before and behind these it is not defined
         corners = [
             knot
             for before, knot, after in zip(knots, knots[1:], knots[2:], strict=False)
@@ -323,7 +369,9 @@ class Drawing:
         if len(chain) < len(edges):
             left = len(edges) - len(chain)
             ends = f"from {tuple(chain[0].start)} to {tuple(chain[-1].end)}"
-            self._refuse(f"is one path {ends}, and {left} entities beside it; accepted: one path without branches")
+            self._refuse(
+                f"is one path {ends}, and {left} entities beside it; accepted: one path without branches"
+            )
         if chain[-1].id < chain[0].id:
             chain = reverse_chain(chain)
         segments = []
@@ -357,7 +405,9 @@ def _points(curve: Any, at: Array, unit: float, corner: bool) -> tuple[Array, bo
         points = _places(curve, at)
         if np.abs(points[-1] - points[0]).max() <= _STRAIGHT * np.ptp(points, axis=0).max():
             points[-1] = points[0]
-        moves = np.append(True, np.any(np.diff(points, axis=0), axis=1))  # a spline may rest on equal control points
+        moves = np.append(
+            True, np.any(np.diff(points, axis=0), axis=1)
+        )  # a spline may rest on equal control points
         points = points[moves]
         at = at[moves]
         if len(at) < 2:
@@ -385,12 +435,16 @@ def _far(points: Array, places: Array, corner: bool) -> Mask:
     through = spline_through(points, corner)
     begin = through.x[:-1, None]
     end = through.x[1:, None]
-    ways = length(np.diff(np.concatenate([points[:-1, None], places, points[1:, None]], axis=1), axis=1))
+    ways = length(
+        np.diff(np.concatenate([points[:-1, None], places, points[1:, None]], axis=1), axis=1)
+    )
     whole = ways.sum(axis=1, keepdims=True)
     at = begin + (end - begin) * np.cumsum(ways[:, :-1], axis=1) / whole
     for _ in range(_NEWTON):
         slope = through(at, 1)
-        nearer = np.sum((places - through(at)) * slope, axis=2) / np.maximum(np.sum(slope * slope, axis=2), _SLOWEST)
+        nearer = np.sum((places - through(at)) * slope, axis=2) / np.maximum(
+            np.sum(slope * slope, axis=2), _SLOWEST
+        )
         at = np.clip(at + nearer, begin, end)
     off = length(places - through(at)).max(axis=1)
     uneven = ways.max(axis=1) > np.maximum(_UNEVEN * whole[:, 0], SPLINE_TOLERANCE)

@@ -20,17 +20,25 @@ def learned_motion(setup: Setup, points: TrajectoryPoints) -> LearnedMotion:
         TrajectoryError: if the controller would refuse the trajectory.
     """
     period = setup.rates.position_period
-    generator = TrajectoryGenerator(setup.controller.limits(setup.robot), period, points.position[0])
+    generator = TrajectoryGenerator(
+        setup.controller.limits(setup.robot), period, points.position[0]
+    )
     setpoints = generator.setpoints(0, generator.accept(points, 0, None).end)
     tip = tip_position(setup.robot.chain, setpoints[:, 0])
     speed = float(np.linalg.norm(np.diff(tip, axis=0), axis=1).max()) / period
     start = tuple(points.position[0].tolist())
     return LearnedMotion(
-        robot_name(setup.robot.urdf), trajectory_identity(points), speed, float(points.times[-1]), start
+        robot_name(setup.robot.urdf),
+        trajectory_identity(points),
+        speed,
+        float(points.times[-1]),
+        start,
     )
 
 
-def check_correction(setup: Setup, points: TrajectoryPoints, correction: Correction, name: str) -> None:
+def check_correction(
+    setup: Setup, points: TrajectoryPoints, correction: Correction, name: str
+) -> None:
     """Check that a correction, which messages call `name`, was learned on this robot and trajectory, if on any.
 
     Raises:

@@ -60,7 +60,11 @@ class PathAccuracy:
     @property
     def worst_along_track(self) -> float:
         """Return the largest distance from the set-point along the path, m; NaN where it was not looked for."""
-        return math.nan if self.along_track is None else float(np.abs(self.along_track).max(initial=0.0))
+        return (
+            math.nan
+            if self.along_track is None
+            else float(np.abs(self.along_track).max(initial=0.0))
+        )
 
     @property
     def worst_orientation(self) -> float:
@@ -148,7 +152,12 @@ def run_line(
     """
     check_type(setup=(setup, Setup), task=(task, LineTask))
     return run_path(
-        setup, task, start_time=start_time, substeps=substeps, record_fast=record_fast, correction=correction
+        setup,
+        task,
+        start_time=start_time,
+        substeps=substeps,
+        record_fast=record_fast,
+        correction=correction,
     )
 
 
@@ -173,9 +182,13 @@ def run_path(
     points = plan.points
     command = MotionCommand(setup.rates.start_tick(start_time), points, correction)
     end = start_time + float(points.times[-1])
-    run = simulate_commands(setup, (command,), points.position[0], end, substeps=substeps, record_fast=record_fast)
+    run = simulate_commands(
+        setup, (command,), points.position[0], end, substeps=substeps, record_fast=record_fast
+    )
     task = path if isinstance(path, LineTask) else plan.task
-    return LineRun(run.setup, run.fast, run.slow, run.saturated, run.commands, run.substeps, task, start_time)
+    return LineRun(
+        run.setup, run.fast, run.slow, run.saturated, run.commands, run.substeps, task, start_time
+    )
 
 
 def path_accuracy(
@@ -197,16 +210,22 @@ def path_accuracy(
     joint_position = np.asarray(joint_position, dtype=np.float64)
     shape = (times.size, len(robot.joint_names))
     if times.ndim != 1 or joint_position.shape != shape:
-        raise ConfigError(f"joint positions: shape {joint_position.shape}; accepted: {shape}, a row for each time")
+        raise ConfigError(
+            f"joint positions: shape {joint_position.shape}; accepted: {shape}, a row for each time"
+        )
     begin, end = task.counted
     window = (times >= start_time + begin) & (times <= start_time + end)
     if not np.isfinite(joint_position[window]).all():
-        raise ConfigError(f"a joint position on the {task.what} is not finite; accepted: finite numbers")
+        raise ConfigError(
+            f"a joint position on the {task.what} is not finite; accepted: finite numbers"
+        )
     pose = forward(robot.chain, joint_position[window])
     asked = task.profile().sample(times[window] - start_time - begin).distance
     error = task.error(pose.position, asked)
     turned = turned_by(robot, pose, task.poses(np.clip(error.along, 0.0, task.length)))
-    return PathAccuracy(times[window], error.along, error.perpendicular, error.along - asked, turned)
+    return PathAccuracy(
+        times[window], error.along, error.perpendicular, error.along - asked, turned
+    )
 
 
 def followed_accuracy(
@@ -227,14 +246,20 @@ def followed_accuracy(
     """
     tips = tip_position(robot.chain, setpoints)
     steps = np.flatnonzero(length(np.diff(tips, axis=0)) > _AT_REST * np.diff(setpoint_times))
-    rests = np.flatnonzero(setpoint_times[steps[1:]] - setpoint_times[steps[:-1] + 1] > _SHORTEST_REST) + 1
+    rests = (
+        np.flatnonzero(setpoint_times[steps[1:]] - setpoint_times[steps[:-1] + 1] > _SHORTEST_REST)
+        + 1
+    )
     found = [np.empty((5, 0))]
     for moves in np.split(steps, rests) if len(steps) else []:
         places = np.append(moves[0], moves + 1)
         begin, end = setpoint_times[places[[0, -1]]]
         rows = slice(*np.searchsorted(times, [begin, end + SETTLING + _ROUNDING]))
         if len(steps) > (after := np.searchsorted(steps, moves[-1], side="right")):
-            rows = slice(rows.start, min(rows.stop, int(np.searchsorted(times, setpoint_times[steps[after]]))))
+            rows = slice(
+                rows.start,
+                min(rows.stop, int(np.searchsorted(times, setpoint_times[steps[after]]))),
+            )
         corners = tips[places]
         when = setpoint_times[places]
         pose = forward(robot.chain, joint_position[rows])
@@ -243,7 +268,11 @@ def followed_accuracy(
         way = np.concatenate([[0.0], np.cumsum(length(np.diff(corners, axis=0)))])
         there = np.column_stack([np.interp(along, way, joint) for joint in setpoints[places].T])
         turned = turned_by(robot, pose, forward(robot.chain, there))
-        found.append(np.stack([times[rows], along, across, along - np.interp(times[rows], when, way), turned]))
+        found.append(
+            np.stack(
+                [times[rows], along, across, along - np.interp(times[rows], when, way), turned]
+            )
+        )
     return PathAccuracy(*np.concatenate(found, axis=1))
 
 
@@ -255,5 +284,7 @@ def turned_by(robot: RobotModel, pose: Pose, asked: Pose) -> Array:
         cosine = np.sum(first * second, axis=-1)
         return np.asarray(np.arctan2(length(np.cross(first, second)), cosine))
     turn = product(transposed(asked.rotation), pose.rotation)
-    skew = 0.5 * np.stack([turn[..., i, j] - turn[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1)
+    skew = 0.5 * np.stack(
+        [turn[..., i, j] - turn[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1
+    )
     return np.asarray(np.arctan2(length(skew), 0.5 * (np.trace(turn, axis1=-2, axis2=-1) - 1.0)))

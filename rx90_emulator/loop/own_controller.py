@@ -157,7 +157,9 @@ def run_controller(
         efforts = np.zeros((calls, n))
         powered = np.zeros(calls, dtype=np.bool_)
     except MemoryError as error:
-        raise FailureError(f"a run of {ticks:g} ticks does not fit into memory; accepted: a shorter one") from error
+        raise FailureError(
+            f"a run of {ticks:g} ticks does not fit into memory; accepted: a shorter one"
+        ) from error
     no_torque = np.zeros(n)
     for k in range(calls):
         measured[k] = joints.measure()
@@ -178,7 +180,9 @@ def run_controller(
         plant.tick += done
         if diverged >= 0:
             plant.raise_divergence(diverged)
-    return ControllerRun(setup, command_hz, joint_rows, friction_rows, measured, efforts, powered, plant.saturated)
+    return ControllerRun(
+        setup, command_hz, joint_rows, friction_rows, measured, efforts, powered, plant.saturated
+    )
 
 
 def _checked(answer: ArrayLike, joints: int, time: float) -> Array:
@@ -197,7 +201,9 @@ def _checked(answer: ArrayLike, joints: int, time: float) -> Array:
 BANDWIDTH: Final = 40.0
 """Of the error's critically damped decay, rad/s."""
 _TABLE_ROWS = 5000  # rows for each sign of the velocity
-_FULL_COMPENSATION_SPEED = 0.002  # rad/s of the set-point at which the friction is compensated in full
+_FULL_COMPENSATION_SPEED = (
+    0.002  # rad/s of the set-point at which the friction is compensated in full
+)
 
 
 class ComputedTorque:
@@ -218,8 +224,12 @@ class ComputedTorque:
         errors: set-point less position in each call, rad, each of shape (n,).
     """
 
-    def __init__(self, setup: Setup, amplitude: float = 0.3, period: float = 4.0, *, friction: bool = True) -> None:
-        from rx90_emulator.identification.arm import RigidArm  # brings Pinocchio, which other controllers do without
+    def __init__(
+        self, setup: Setup, amplitude: float = 0.3, period: float = 4.0, *, friction: bool = True
+    ) -> None:
+        from rx90_emulator.identification.arm import (
+            RigidArm,
+        )  # brings Pinocchio, which other controllers do without
 
         self._arm = RigidArm.from_setup(setup)
         self._half = 0.5 * amplitude
@@ -243,7 +253,11 @@ class ComputedTorque:
         speed = self._half * self._speed * math.sin(angle)
         error = home + away - position
         self.errors.append(error)
-        acceleration = self._half * self._speed**2 * math.cos(angle) + 2.0 * w * (speed - velocity) + w * w * error
+        acceleration = (
+            self._half * self._speed**2 * math.cos(angle)
+            + 2.0 * w * (speed - velocity)
+            + w * w * error
+        )
         effort: Array = self._arm.torque(position[None], velocity[None], acceleration[None])[0]
         row: Array = self._friction[_TABLE_ROWS + round(_TABLE_ROWS * speed / self._fastest)]
         return effort + row
@@ -253,7 +267,9 @@ def _compensation(setup: Setup, speeds: Array) -> Array:
     """Return the friction torque at joints that all turn with each of the speeds, rad/s, shape (k, n)."""
     matrix = setup.drives.turning.element_matrix
     inputs = speeds[:, None] * matrix.sum(axis=1)
-    columns = [one.steady_torque(v) for one, v in zip(setup.friction.elements, inputs.T, strict=True)]
+    columns = [
+        one.steady_torque(v) for one, v in zip(setup.friction.elements, inputs.T, strict=True)
+    ]
     # Not at once at a reversal, where the bristles have yet to bend.
     full: Array = np.minimum(1.0, np.abs(speeds) / _FULL_COMPENSATION_SPEED)
     return full[:, None] * (np.stack(columns, axis=1) @ matrix)

@@ -80,7 +80,9 @@ class Place:
         switch = self.unit == SWITCH
         plain = value.item() if isinstance(value, np.generic) else value
         if not isinstance(plain, int | float) or isinstance(plain, bool) != switch:
-            raise ConfigError(f"a value is {value}; accepted: {'true or false' if switch else 'numbers'}")
+            raise ConfigError(
+                f"a value is {value}; accepted: {'true or false' if switch else 'numbers'}"
+            )
         return plain
 
 
@@ -94,7 +96,10 @@ class ParameterValue(NamedTuple):
 def parameters(setup: Setup) -> dict[str, ParameterValue]:
     """Return every parameter of a setup by its path: `friction.joint_2.c0`, `drives.gear[0]`, `arm.link_3.mass`, ..."""
     catalogue = Catalogue(setup)
-    return {place.path: ParameterValue(catalogue.value(place.leaves[0]), place.unit) for place in catalogue.all()}
+    return {
+        place.path: ParameterValue(catalogue.value(place.leaves[0]), place.unit)
+        for place in catalogue.all()
+    }
 
 
 class Catalogue:
@@ -104,7 +109,9 @@ class Catalogue:
         check_type(setup=(setup, Setup))
         self._units: dict[Key, str] = {}
         self._values: dict[Key, Any] = {}
-        self._leaves: dict[Key, tuple[Key, ...]] = {}  # what a path names, each by its place in the models
+        self._leaves: dict[
+            Key, tuple[Key, ...]
+        ] = {}  # what a path names, each by its place in the models
         self._add(("arm", "seed"), setup.seed, "1")
         self._add_model(("drives",), ("drives",), setup.drives)
         self._add_model(("controller",), ("controller",), setup.controller)
@@ -113,7 +120,9 @@ class Catalogue:
                 self._add(("task", field), getattr(task, field), unit)
         for name, element in zip(setup.friction.names, setup.friction.elements, strict=True):
             self._add_model(("friction", name), ("friction", name), element)
-        for i, (field, unit) in itertools.product(range(len(setup.robot.joint_names)), ARM_UNITS.items()):
+        for i, (field, unit) in itertools.product(
+            range(len(setup.robot.joint_names)), ARM_UNITS.items()
+        ):
             self._add(("arm", f"link_{i + 1}", field), getattr(setup.robot.chain, field)[i], unit)
 
     def _add(self, key: Key, value: Any, unit: str, path: Key = ()) -> None:
@@ -140,7 +149,11 @@ class Catalogue:
                 self._add_model(key, (*path, name), value)
             elif isinstance(value, bool):
                 self._add(key, value, SWITCH, (*path, name))
-            elif value is not None and np.size(value) and (unit := word_of(type(model), name, "unit")):
+            elif (
+                value is not None
+                and np.size(value)
+                and (unit := word_of(type(model), name, "unit"))
+            ):
                 short = word_of(type(model), name, "path")
                 self._add(key, value, unit, (path[0], short) if short else (*path, name))
 
@@ -155,14 +168,20 @@ class Catalogue:
         """Return a place for each value."""
         single = {path: keys[0] for path, keys in self._leaves.items() if len(keys) == 1}
         every = {path: ("*",) * np.ndim(self._values[key]) for path, key in single.items()}
-        return [place for path, indices in every.items() for place in self._indexed(".".join(path), path, indices)]
+        return [
+            place
+            for path, indices in every.items()
+            for place in self._indexed(".".join(path), path, indices)
+        ]
 
     def places(self, path: str) -> tuple[Place, ...]:
         """Return what a path names, one place for each combination that its `*` stand for."""
         check_type(path=(path, str))
         match = _PATH.fullmatch(path)
         if match is None:
-            raise ConfigError(f"{quoted(path)} is not a path; accepted: such as friction.joint_2.c0 or drives.gear[1]")
+            raise ConfigError(
+                f"{quoted(path)} is not a path; accepted: such as friction.joint_2.c0 or drives.gear[1]"
+            )
         wanted = match["names"].split(".")
         keys = [key for key in self._leaves if _matches(key, wanted)]
         if not keys:
@@ -178,7 +197,9 @@ class Catalogue:
     def _indexed(self, path: str, key: Key, indices: Sequence[str]) -> list[Place]:
         keys = self._leaves[key]
         shape = np.shape(self._values[self._leaves[key][0]])
-        if len(indices) != len(shape) or any(i != "*" and int(i) >= n for i, n in zip(indices, shape, strict=True)):
+        if len(indices) != len(shape) or any(
+            i != "*" and int(i) >= n for i, n in zip(indices, shape, strict=True)
+        ):
             raise ConfigError(f"{quoted(path)}: {_accepted_indices('.'.join(key), shape)}")
         chosen = (range(n) if i == "*" else (int(i),) for i, n in zip(indices, shape, strict=True))
         return [
@@ -204,7 +225,11 @@ class Catalogue:
 def _accepted_indices(name: str, shape: tuple[int, ...]) -> str:
     if not shape:
         return f"{name} is one value; accepted: {name}, without an index"
-    count = counted(shape[0], "number") if len(shape) == 1 else f"{' by '.join(map(str, shape))} numbers"
+    count = (
+        counted(shape[0], "number")
+        if len(shape) == 1
+        else f"{' by '.join(map(str, shape))} numbers"
+    )
     last = "".join(f"[{n - 1}]" for n in shape)
     return f"{name} is {count}; accepted: up to {name}{last}, or * for all of an index"
 
@@ -244,7 +269,9 @@ def apply(setup: Setup, task: Motion, values: Mapping[Leaf, Value]) -> tuple[Set
         ConfigError, LineError: if a value is out of range.
     """
     tree = _tree(values)
-    return _changed(setup, tree), replace(task, **_changes(task, tree["task"])) if "task" in tree else task
+    return _changed(setup, tree), replace(
+        task, **_changes(task, tree["task"])
+    ) if "task" in tree else task
 
 
 def _changes(holder: Any, tree: Mapping[str, Any]) -> dict[str, Any]:
@@ -252,7 +279,9 @@ def _changes(holder: Any, tree: Mapping[str, Any]) -> dict[str, Any]:
     changes: dict[str, Any] = {}
     for name, entries in tree.items():
         old = getattr(holder, name)
-        changes[name] = _changes(old, entries) if isinstance(old, Model) else _with_entries(old, entries)
+        changes[name] = (
+            _changes(old, entries) if isinstance(old, Model) else _with_entries(old, entries)
+        )
     return changes
 
 
@@ -295,12 +324,17 @@ def _changed(setup: Setup, tree: Mapping[str, Any]) -> Setup:
         new["controller"] = _changed_model("controller", setup.controller, tree["controller"])
     if "friction" in tree:
         elements = zip(setup.friction.names, setup.friction.elements, strict=True)
-        changed = [_changed_model(f"friction.{name}", one, tree["friction"].get(name, {})) for name, one in elements]
+        changed = [
+            _changed_model(f"friction.{name}", one, tree["friction"].get(name, {}))
+            for name, one in elements
+        ]
         new["friction"] = replace(setup.friction, elements=tuple(changed))
     links = dict(tree.get("arm", {}))
     if (seed := links.pop("seed", {(): None})[()]) is not None:
         if isinstance(seed, float) and not seed.is_integer():  # NaN and infinity are none
-            raise ConfigError(f"arm.seed is {seed}; accepted: a whole number from 0 to {LARGEST_SEED}")
+            raise ConfigError(
+                f"arm.seed is {seed}; accepted: a whole number from 0 to {LARGEST_SEED}"
+            )
         new["seed"] = int(seed)
     if links:
         new["robot"] = _robot(setup.robot, links)
@@ -323,7 +357,9 @@ def _robot(robot: RobotModel, links: Mapping[str, Any]) -> RobotModel:
         if not (np.isfinite(mass) and mass > 0):
             raise ConfigError(f"{where}.mass is {mass:g} kg; accepted: a finite number > 0")
         if not (np.isfinite(com).all() and np.isfinite(inertia).all()):
-            raise ConfigError(f"{where}: com {com.tolist()}, inertia {inertia.tolist()}; accepted: finite numbers")
+            raise ConfigError(
+                f"{where}: com {com.tolist()}, inertia {inertia.tolist()}; accepted: finite numbers"
+            )
         if (fault := inertia_fault(tuple(inertia.tolist()))) is not None:
             raise ConfigError(f"{where}.inertia is {inertia.tolist()} kg m^2; accepted: {fault}")
         turn = turns[row]  # the chain's axes are the base's at q = 0

@@ -15,7 +15,17 @@ from pydantic import Field, model_validator
 
 from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import ConfigError, LineError, located
-from rx90_common.base.models import FileModel, Model, Names, OneOf, Row, Triple, quantity, read_model, refusal
+from rx90_common.base.models import (
+    FileModel,
+    Model,
+    Names,
+    OneOf,
+    Row,
+    Triple,
+    quantity,
+    read_model,
+    refusal,
+)
 from rx90_common.base.quoting import nearest
 from rx90_common.base.share import resolve_config
 from rx90_controller.lines.task import Angles, LineTask, Posture, TipMotion, load_task, radians
@@ -43,7 +53,9 @@ class ArcSegment(OneOf):
 
     via: Annotated[Triple | None, quantity("m", "A place between its ends.")] = None
     center: Annotated[Triple | None, quantity("m", "Its centre.")] = None
-    normal: Annotated[Triple | None, quantity("1", "Of its plane, beside center; up if left out.")] = None
+    normal: Annotated[
+        Triple | None, quantity("1", "Of its plane, beside center; up if left out.")
+    ] = None
     end: Annotated[Triple, quantity("m", "Its end.")]
 
     @model_validator(mode="after")
@@ -56,7 +68,10 @@ class ArcSegment(OneOf):
 class SplineSegment(FileModel):
     """A natural cubic spline through points."""
 
-    points: Annotated[tuple[_Point, ...], Field(strict=False, min_length=1, description="Points behind its start.")]
+    points: Annotated[
+        tuple[_Point, ...],
+        Field(strict=False, min_length=1, description="Points behind its start."),
+    ]
 
 
 class SegmentMotion(OneOf):
@@ -67,7 +82,9 @@ class SegmentMotion(OneOf):
     line: LineSegment | None = None
     arc: ArcSegment | None = None
     spline: SplineSegment | None = None
-    speed: Annotated[float | None, quantity("m/s", "Speed along it; that of the path if left out.", gt=0.0)] = None
+    speed: Annotated[
+        float | None, quantity("m/s", "Speed along it; that of the path if left out.", gt=0.0)
+    ] = None
     zone: Annotated[
         float,
         quantity(
@@ -106,11 +123,22 @@ class DrawingFile(FileModel):
     """A file with the path: points (.csv) or a drawing (.dxf)."""
 
     name: Annotated[str, Field(description="The file, beside this one.")]
-    unit: Annotated[Literal["m", "mm", "cm", "in"] | None, Field(description="Unit of its numbers.")] = None
-    origin: Annotated[Triple, quantity("m", "Where its origin lies, in base_link.")] = (0.0, 0.0, 0.0)
-    rpy_degrees: Annotated[Angles, quantity("deg", "Roll, pitch and yaw of its axes.")] = (0.0, 0.0, 0.0)
+    unit: Annotated[
+        Literal["m", "mm", "cm", "in"] | None, Field(description="Unit of its numbers.")
+    ] = None
+    origin: Annotated[Triple, quantity("m", "Where its origin lies, in base_link.")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
+    rpy_degrees: Annotated[Angles, quantity("deg", "Roll, pitch and yaw of its axes.")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
     points: Annotated[
-        Literal["lines", "spline"], Field(description="Points of a CSV file as the corners of lines, or on a spline.")
+        Literal["lines", "spline"],
+        Field(description="Points of a CSV file as the corners of lines, or on a spline."),
     ] = "spline"
     layer: Annotated[str | None, Field(description="Layer of the drawing; all if left out.")] = None
     zone: Annotated[float, quantity("m", "Zone at each corner.", ge=0.0)] = 0.0
@@ -137,17 +165,23 @@ class PathMotion(OneOf, TipMotion):
     segments: Annotated[
         tuple[SegmentMotion, ...] | None,
         Field(
-            strict=False, min_length=1, description="Lines, arcs and splines, each from the end of the one before it."
+            strict=False,
+            min_length=1,
+            description="Lines, arcs and splines, each from the end of the one before it.",
         ),
     ] = None
     file: DrawingFile | None = None
     jerk: Annotated[
         float | None,
-        quantity("m/s^3", "Largest jerk along the path; trapezoids of the speed if left out.", gt=0.0),
+        quantity(
+            "m/s^3", "Largest jerk along the path; trapezoids of the speed if left out.", gt=0.0
+        ),
     ] = None
     speed_policy: Annotated[
         Literal["lower", "hold"],
-        Field(description="Where a joint's limit asks for less speed: lower it, or hold it and refuse the path."),
+        Field(
+            description="Where a joint's limit asks for less speed: lower it, or hold it and refuse the path."
+        ),
     ] = "lower"
     orientation: Annotated[
         Literal["fixed", "tangent", "interpolated"],
@@ -245,7 +279,9 @@ class TrajectoryPoint(Model):
 
     positions: Annotated[Row, quantity("rad", "Of each joint.")] = ()
     velocities: Annotated[Row, quantity("rad/s", "Of each joint; may be left out.")] = ()
-    accelerations: Annotated[Row, quantity("rad/s^2", "Of each joint, with velocities; may be left out.")] = ()
+    accelerations: Annotated[
+        Row, quantity("rad/s^2", "Of each joint, with velocities; may be left out.")
+    ] = ()
     effort: Annotated[Row, quantity("Nm", "None: the controller follows positions.")] = ()
     time_from_start: Duration
 
@@ -256,7 +292,8 @@ class TrajectoryFile(FileModel):
     header: Annotated[Any, Field(description="Of the message; not looked at.")] = None
     joint_names: Annotated[Names, Field(description="The robot's joints, in any order.")]
     points: Annotated[
-        tuple[TrajectoryPoint, ...], Field(strict=False, description="Points in the order of their times.")
+        tuple[TrajectoryPoint, ...],
+        Field(strict=False, description="Points in the order of their times."),
     ]
 
 

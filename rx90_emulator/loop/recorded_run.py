@@ -78,26 +78,40 @@ def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = Non
             f"{_LATEST_BEGIN:g} s of simulated time"
         )
     if initial_position is None:
-        initial_position = setup.plant().position_of(_position_at_rest(bag, states, setup.robot.joint_names))
+        initial_position = setup.plant().position_of(
+            _position_at_rest(bag, states, setup.robot.joint_names)
+        )
     values = read_values(bag)
     if values.get(SEED) is not None and type(values[SEED]) is not int:
-        raise BagError(f"{plain(bag)}: its {SEED} is {quoted(values[SEED])}; accepted: a whole number")
+        raise BagError(
+            f"{plain(bag)}: its {SEED} is {quoted(values[SEED])}; accepted: a whole number"
+        )
     commands = []
     for one in read_trajectories(bag):
         with located(plain(bag)):
-            points = points_from_message(setup.robot.joint_names, one.message) if one.message.points else None
+            points = (
+                points_from_message(setup.robot.joint_names, one.message)
+                if one.message.points
+                else None
+            )
         commands.append(MotionCommand(setup.rates.start_tick(one.start_ns / NANOSECONDS), points))
     return RecordedRun(
         commands=tuple(commands),
         initial_position=initial_position,
         duration=last / NANOSECONDS + setup.rates.position_period,
         changed=tuple(sorted({name for name in read_changes(bag) if name.startswith(OF_LAW)})),
-        given=tuple(sorted(name for name, value in values.items() if _is_other(name, value, setup.controller))),
+        given=tuple(
+            sorted(
+                name for name, value in values.items() if _is_other(name, value, setup.controller)
+            )
+        ),
         seed=values.get(SEED),
     )
 
 
-def replay(setup: Setup, run: RecordedRun, *, substeps: int | None = None, record_fast: bool = False) -> RunResult:
+def replay(
+    setup: Setup, run: RecordedRun, *, substeps: int | None = None, record_fast: bool = False
+) -> RunResult:
     """Do a recorded run again through the closed loop without ROS, with its seed.
 
     Raises:
@@ -109,7 +123,12 @@ def replay(setup: Setup, run: RecordedRun, *, substeps: int | None = None, recor
     if run.seed is not None:
         setup = replace(setup, seed=run.seed)
     return simulate_commands(
-        setup, run.commands, run.initial_position, run.duration, substeps=substeps, record_fast=record_fast
+        setup,
+        run.commands,
+        run.initial_position,
+        run.duration,
+        substeps=substeps,
+        record_fast=record_fast,
     )
 
 

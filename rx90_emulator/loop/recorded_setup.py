@@ -31,7 +31,11 @@ def check_robot(path: Path | str, robot: str) -> None:
     if is_table(Path(path)):
         return
     with BagReader(path) as bag:
-        topics = [t for t in bag.topics if t.msgtype == STRING and t.name.rpartition("/")[2] == _DESCRIPTION]
+        topics = [
+            t
+            for t in bag.topics
+            if t.msgtype == STRING and t.name.rpartition("/")[2] == _DESCRIPTION
+        ]
         for topic, _, data in islice(bag.messages(topics), 1):
             with suppress(ET.ParseError, ValueError):
                 name = robot_name(str(bag.deserialize(topic, data).data))

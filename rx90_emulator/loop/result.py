@@ -92,9 +92,17 @@ def empty_series(
     try:
         fast = FastSeries(np.empty((fast_rows, 3, n)), np.empty((fast_rows, n)))
         of_joints = (np.empty((rows, 3, columns)) for columns in (n, e, n, n, n))
-        slow = SlowSeries(*of_joints, np.empty((warm_rows, e)), np.empty((warm_rows, n)), np.empty((0, n)))  # type: ignore[call-arg]
-    except (MemoryError, ValueError, OverflowError) as error:  # the last two: more than any machine could address
-        raise FailureError(f"a run of {ticks:g} ticks does not fit into memory; accepted: a shorter one") from error
+        slow = SlowSeries(
+            *of_joints, np.empty((warm_rows, e)), np.empty((warm_rows, n)), np.empty((0, n))
+        )  # type: ignore[call-arg]
+    except (
+        MemoryError,
+        ValueError,
+        OverflowError,
+    ) as error:  # the last two: more than any machine could address
+        raise FailureError(
+            f"a run of {ticks:g} ticks does not fit into memory; accepted: a shorter one"
+        ) from error
     return fast, slow
 
 
@@ -121,7 +129,10 @@ class RunResult:
     @property
     def times(self) -> Array:
         """Return the times of the slow series, s, shape (m,)."""
-        return np.asarray(np.arange(len(self.slow.joint_states), dtype=np.float64) * self.setup.rates.position_period)
+        return np.asarray(
+            np.arange(len(self.slow.joint_states), dtype=np.float64)
+            * self.setup.rates.position_period
+        )
 
     @cached_property
     def series(self) -> dict[str, JointSeries]:
@@ -141,13 +152,19 @@ class RunResult:
         rows = np.flatnonzero(slow.correction.any(axis=1))
         if len(rows):
             topic = f"/rx90_controller/{CORRECTION}"
-            series.append(JointSeries(topic, joints, rows.astype(np.int64) * period, slow.correction[rows]))
+            series.append(
+                JointSeries(topic, joints, rows.astype(np.int64) * period, slow.correction[rows])
+            )
         for k, (name, names) in enumerate(zip(DETAILS, (joints, motors, motors), strict=True)):
             values = np.ascontiguousarray(slow.details[::DETAIL_DECIMATION, k])
-            series.append(series_of(f"rx90_controller/{name}", names, values, period * DETAIL_DECIMATION))
+            series.append(
+                series_of(f"rx90_controller/{name}", names, values, period * DETAIL_DECIMATION)
+            )
         if self.fast is not None:
             series.append(series_of(MOTOR_STATES, motors, self.fast.motor_states, rates.period_ns))
-            series.append(series_of(MOTOR_COMMANDS, motors, self.fast.motor_commands, rates.period_ns))
+            series.append(
+                series_of(MOTOR_COMMANDS, motors, self.fast.motor_commands, rates.period_ns)
+            )
         return {one.topic.removeprefix("/"): one for one in series}
 
 
@@ -186,12 +203,20 @@ def write_bag(run: RunResult, path: Path | str, decimation: int = 1) -> None:
         parameter_message(f"/rx90_sim/{PARAMETERS}", "/rx90_sim", SEED, run.setup.seed),
     ]
     for start, points, _ in run.commands:
-        content = message_content(names, points) if points else {"joint_names": list(names), "points": []}
-        others.append(trajectory_message(f"/rx90_controller/{TRAJECTORY_ACCEPTED}", start * period_ns, content))
+        content = (
+            message_content(names, points) if points else {"joint_names": list(names), "points": []}
+        )
+        others.append(
+            trajectory_message(
+                f"/rx90_controller/{TRAJECTORY_ACCEPTED}", start * period_ns, content
+            )
+        )
     if not isinstance(decimation, int | np.integer) or decimation < 1:
         raise ConfigError(f"decimation is {decimation}; accepted: a whole number >= 1")
     kept = slice(None, None, decimation)
-    series = [one if topic in _NOT_DECIMATED else one.take(kept) for topic, one in run.series.items()]
+    series = [
+        one if topic in _NOT_DECIMATED else one.take(kept) for topic, one in run.series.items()
+    ]
     write_joint_states(path, series, messages=others)
 
 
@@ -214,7 +239,9 @@ def save_arrays(run: RunResult, file: Path | str) -> None:
         "detail time [s]": run.times[::DETAIL_DECIMATION],
     }
     if len(run.slow.temperatures):
-        arrays["temperature time [s]"] = np.arange(len(run.slow.temperatures)) / run.setup.rates.temperature_hz
+        arrays["temperature time [s]"] = (
+            np.arange(len(run.slow.temperatures)) / run.setup.rates.temperature_hz
+        )
         arrays["temperature [degC]"] = run.slow.temperatures
         arrays["winding temperature [degC]"] = run.slow.windings
     for topic, series in run.series.items():

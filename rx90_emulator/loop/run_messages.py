@@ -17,7 +17,9 @@ def parameter_message(topic: str, node: str, name: str, number: int) -> SingleMe
     """Return the rcl_interfaces/ParameterEvent of a node with a whole number at the start of its run."""
     types = typestore().types
     no_arrays = [np.empty(0)] * 4
-    value = types["rcl_interfaces/msg/ParameterValue"](_INTEGER, False, number, 0.0, "", *no_arrays, [])
+    value = types["rcl_interfaces/msg/ParameterValue"](
+        _INTEGER, False, number, 0.0, "", *no_arrays, []
+    )
     new = [types["rcl_interfaces/msg/Parameter"](name, value)]
     zero = types["builtin_interfaces/msg/Time"](0, 0)
     return SingleMessage(topic, 0, types[PARAMETER_EVENT](zero, node, new, [], []))
@@ -33,4 +35,6 @@ def trajectory_message(topic: str, start_ns: int, content: dict[str, Any]) -> Si
         points.append(types["trajectory_msgs/msg/JointTrajectoryPoint"](*vectors, since))
     stamp = types["builtin_interfaces/msg/Time"](*divmod(start_ns, NANOSECONDS))
     header = types["std_msgs/msg/Header"](stamp, "")
-    return SingleMessage(topic, start_ns, types[JOINT_TRAJECTORY](header, content["joint_names"], points))
+    return SingleMessage(
+        topic, start_ns, types[JOINT_TRAJECTORY](header, content["joint_names"], points)
+    )

@@ -38,7 +38,11 @@ def load_arm(files: RobotFiles) -> Arm:
     robot = load_robot(files.urdf, files.tool)
     drives = load_drives(files.drives)
     robot.check_count(files.drives, "gear", drives.gear)
-    return Arm(robot, drives, load_friction(files.friction, drives.turning.element_names(robot.joint_names)))
+    return Arm(
+        robot,
+        drives,
+        load_friction(files.friction, drives.turning.element_names(robot.joint_names)),
+    )
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,9 @@ class Setup(Arm):
         check_seed(self.seed)
 
     @classmethod
-    def load(cls, files: RobotFiles | None = None, rates: Rates | None = None, seed: int = 0) -> Setup:
+    def load(
+        cls, files: RobotFiles | None = None, rates: Rates | None = None, seed: int = 0
+    ) -> Setup:
         """Read the files, by default the shipped ones.
 
         Raises:
@@ -93,7 +99,9 @@ class Setup(Arm):
 
     def warn_of_friction(self) -> None:
         """Warn of elements that are not passive up to the joints' full speed."""
-        warn_caller(self.friction.passivity_warnings(self.drives.turning.reach(self.robot.max_velocity)))
+        warn_caller(
+            self.friction.passivity_warnings(self.drives.turning.reach(self.robot.max_velocity))
+        )
 
     def warn_of_heat(self, temperatures: Array) -> None:
         """Warn of joints that got warmer, degrees Celsius, shape (n, e), than the law of their friction holds."""
@@ -127,6 +135,12 @@ def load_setup(
     Raises:
         ConfigError: naming file, key, value and accepted range.
     """
-    names = {"urdf": urdf, "tool": tool, "drives": drives, "friction": friction, "controller": controller}
+    names = {
+        "urdf": urdf,
+        "tool": tool,
+        "drives": drives,
+        "friction": friction,
+        "controller": controller,
+    }
     given = {role: None if name is None else str(name) for role, name in names.items()}
     return Setup.load(RobotFiles.named(None if robot is None else str(robot), **given), rates, seed)

@@ -19,11 +19,22 @@ from rx90_controller.trajectory.points import message_content
 from rx90_controller.trajectory.spline import interpolate
 
 _MILLI = 1e3
-_POSE = ("tool x [mm]", "tool y [mm]", "tool z [mm]", "tool roll [deg]", "tool pitch [deg]", "tool yaw [deg]")
+_POSE = (
+    "tool x [mm]",
+    "tool y [mm]",
+    "tool z [mm]",
+    "tool roll [deg]",
+    "tool pitch [deg]",
+    "tool yaw [deg]",
+)
 
 
 def write_trajectory(
-    file: Path, robot: RobotModel, points: TrajectoryPoints, period: float, correction: Correction | None = None
+    file: Path,
+    robot: RobotModel,
+    points: TrajectoryPoints,
+    period: float,
+    correction: Correction | None = None,
 ) -> None:
     """Write a motion to a file, whose suffix says how.
 

@@ -78,7 +78,9 @@ def simulated_setup(files: RobotFiles) -> Setup:
         names = turning.element_names(joints)
         there = FrictionFile.read(files.friction).elements.entries
         if missing := [name for name in names if name not in there]:
-            raise IdentificationError(f"{files.friction}: no friction element {listed(missing)}; {_OTHER_ARMS}")
+            raise IdentificationError(
+                f"{files.friction}: no friction element {listed(missing)}; {_OTHER_ARMS}"
+            )
     return Setup.load(files)
 
 
@@ -164,7 +166,9 @@ class MeasuredComparison:
 
 _MAX_BANDWIDTH_SHARE = 0.3  # largest bandwidth of the set-points over the rate of the position loop
 _MAX_LAG_S = 0.1  # s, largest lag or lead of the simulated motion
-_MIN_TRAVEL = 2e-3  # rad, several times the presliding travel of a joint; a joint that moves less is at rest
+_MIN_TRAVEL = (
+    2e-3  # rad, several times the presliding travel of a joint; a joint that moves less is at rest
+)
 _LAG_ROUNDS = 4  # iterations of the search for the lag
 _DEFAULT_LAYOUT = MeasuredLayout()
 _DEFAULT_TOLERANCES = MeasuredTolerances()
@@ -207,7 +211,12 @@ def compare_measured(
     record = read_record(path, what)
     pieces = filter_record(
         record,
-        _bandwidths(record, setup, bandwidth, has_setpoints=absolute(REFERENCE) in topic_names(path, what.mapping)),
+        _bandwidths(
+            record,
+            setup,
+            bandwidth,
+            has_setpoints=absolute(REFERENCE) in topic_names(path, what.mapping),
+        ),
     )
     run = max(pieces, key=lambda piece: len(piece.time))
     # A joint counts as moving if every motor and friction element that it turns is moving.
@@ -220,15 +229,21 @@ def compare_measured(
     )
     if not moves.any():
         raise nothing
-    setpoints = _recorded_setpoints(run, record.position[0], setup, what) or path_setpoints(run, setup)
+    setpoints = _recorded_setpoints(run, record.position[0], setup, what) or path_setpoints(
+        run, setup
+    )
     beyond = _beyond(setpoints, path, setup)
     progress("closed loop")
     simulated, begin, end, saturated = _simulated(setup, setpoints, run)
     progress("comparison")
     time = run.time[run.rows]
-    rows = (time >= begin + _MAX_LAG_S) & (time <= end - _MAX_LAG_S)  # covered for any lag of the simulated arm
+    rows = (time >= begin + _MAX_LAG_S) & (
+        time <= end - _MAX_LAG_S
+    )  # covered for any lag of the simulated arm
     if not rows.any():
-        raise IdentificationError("measured and simulated run have no time in common; accepted: a longer bag")
+        raise IdentificationError(
+            "measured and simulated run have no time in common; accepted: a longer bag"
+        )
     if not moves[rows].any():
         raise nothing
     time = time[rows]
@@ -240,9 +255,15 @@ def compare_measured(
         lag -= float(np.sum(difference * velocity)) / float(np.sum(velocity**2))
         lag = float(np.clip(lag, -_MAX_LAG_S, _MAX_LAG_S))
     follows = np.asarray(simulated(time + lag - setpoints.start))
-    when = np.arange(len(setpoints.values), dtype=np.float64) * setup.rates.position_period  # since the first of them
-    measured_path = followed_accuracy(setup.robot, time - setpoints.start, measured[:, 0], when, setpoints.values[:, 0])
-    simulated_path = followed_accuracy(setup.robot, time - setpoints.start, follows[:, 0], when, setpoints.values[:, 0])
+    when = (
+        np.arange(len(setpoints.values), dtype=np.float64) * setup.rates.position_period
+    )  # since the first of them
+    measured_path = followed_accuracy(
+        setup.robot, time - setpoints.start, measured[:, 0], when, setpoints.values[:, 0]
+    )
+    simulated_path = followed_accuracy(
+        setup.robot, time - setpoints.start, follows[:, 0], when, setpoints.values[:, 0]
+    )
     return MeasuredComparison(
         names=run.names,
         robot=setup.robot.model.name,
@@ -260,19 +281,27 @@ def compare_measured(
     )
 
 
-def _bandwidths(record: JointRecord, setup: Setup, bandwidth: float | None, *, has_setpoints: bool) -> Bandwidths:
+def _bandwidths(
+    record: JointRecord, setup: Setup, bandwidth: float | None, *, has_setpoints: bool
+) -> Bandwidths:
     """Return the bandwidths by the data, or by the user, as far as the position loop's rate allows."""
     highest = _MAX_BANDWIDTH_SHARE * setup.rates.position_hz
     if bandwidth is None and has_setpoints:
         rate = 1.0 / float(np.median(np.diff(record.time)))
         position = min(highest, _MAX_BANDWIDTH_SHARE * rate)
         return Bandwidths(
-            position, position / 3.0, "the set-points are in the bag, so no noise of positions is in them"
+            position,
+            position / 3.0,
+            "the set-points are in the bag, so no noise of positions is in them",
         )
     if bandwidth is None:
-        return Bandwidths.of_motion([record]).at_most(highest, f"{_MAX_BANDWIDTH_SHARE:g} of the position loop's rate")
+        return Bandwidths.of_motion([record]).at_most(
+            highest, f"{_MAX_BANDWIDTH_SHARE:g} of the position loop's rate"
+        )
     if not 0.0 < bandwidth <= highest:
-        raise IdentificationError(f"--bandwidth is {bandwidth:g} Hz; accepted: above 0, up to {highest:g} Hz")
+        raise IdentificationError(
+            f"--bandwidth is {bandwidth:g} Hz; accepted: above 0, up to {highest:g} Hz"
+        )
     return Bandwidths(bandwidth, bandwidth / 3.0)
 
 
@@ -286,7 +315,9 @@ class _SetPoints(NamedTuple):
     source: str  # in words
 
 
-def _recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, layout: BagLayout) -> _SetPoints | None:
+def _recorded_setpoints(
+    run: FilteredRun, first: Array, setup: Setup, layout: BagLayout
+) -> _SetPoints | None:
     """Return the set-points of this project's controller in a bag; None if it contains none.
 
     A bag that begins at time 0 with an arm at rest is simulated as it ran, from the release of its brakes on. `first`
@@ -301,9 +332,13 @@ def _recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, layout: Ba
     steps = np.diff(series.stamp_ns)
     time = series.time
     if len(steps) < 2 or not (steps > 0).all() or steps.max() > _MAX_GAP_PERIODS * np.median(steps):
-        raise IdentificationError(f"{bag}: the set-points of {series.topic} have gaps; accepted: a steady stream")
+        raise IdentificationError(
+            f"{bag}: the set-points of {series.topic} have gaps; accepted: a steady stream"
+        )
     if time[0] > run.time[-1] or time[-1] < run.time[0]:
-        raise IdentificationError(f"{bag}: {series.topic} and the measured states are of different times")
+        raise IdentificationError(
+            f"{bag}: {series.topic} and the measured states are of different times"
+        )
     if (steps != setup.rates.period_ns * setup.rates.ratio).any():
         since = (series.stamp_ns - series.stamp_ns[0]) / NANOSECONDS
         curve = BPoly.from_derivatives(since, np.stack([position, velocity], axis=1))
@@ -313,7 +348,9 @@ def _recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, layout: Ba
     values = setpoint_rows(position, velocity, setup)
     source = f"{REFERENCE} in the bag"
     if series.stamp_ns[0] == 0 and np.abs(velocity[0]).max() < _REST_SPEED:
-        return _SetPoints(0.0, values, 0.0, np.clip(first, setup.robot.lower, setup.robot.upper), source)
+        return _SetPoints(
+            0.0, values, 0.0, np.clip(first, setup.robot.lower, setup.robot.upper), source
+        )
     return _with_lead_in(float(time[0]), values, setup, source)
 
 
@@ -344,7 +381,9 @@ def _with_lead_in(begin: float, values: Array, setup: Setup, source: str) -> _Se
     curve = BPoly.from_derivatives([0.0, lead * period], np.stack([still, values[0]]))
     time = np.arange(lead) * period
     moving = np.stack([curve(time, nu) for nu in range(3)], axis=1)
-    whole = np.ascontiguousarray(np.concatenate([np.broadcast_to(still, (hold, *still.shape)), moving, values]))
+    whole = np.ascontiguousarray(
+        np.concatenate([np.broadcast_to(still, (hold, *still.shape)), moving, values])
+    )
     return _SetPoints(begin - (hold + lead) * period, whole, begin, start_pose, source)
 
 
@@ -378,7 +417,9 @@ def _beyond(setpoints: _SetPoints, bag: Path, setup: Setup) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _simulated(setup: Setup, setpoints: _SetPoints, run: FilteredRun) -> tuple[BSpline, float, float, Array]:
+def _simulated(
+    setup: Setup, setpoints: _SetPoints, run: FilteredRun
+) -> tuple[BSpline, float, float, Array]:
     """Return the simulated run, filtered by the low-pass of the measured one.
 
     Returns:
@@ -388,7 +429,9 @@ def _simulated(setup: Setup, setpoints: _SetPoints, run: FilteredRun) -> tuple[B
     # Sampled at the measured rate: aliasing by slow sampling is then the same on both sides.
     rates = setup.rates
     often = run.rate > 1.5 * setup.rates.position_hz
-    fast, slow, saturated = run_along(setup, setpoints.values, setpoints.initial_position, record_fast=often)
+    fast, slow, saturated = run_along(
+        setup, setpoints.values, setpoints.initial_position, record_fast=often
+    )
     values = slow.joint_states[:, ::2]
     rate = float(rates.base_hz if often else rates.position_hz)
     if often:
@@ -398,24 +441,35 @@ def _simulated(setup: Setup, setpoints: _SetPoints, run: FilteredRun) -> tuple[B
     taps = low_pass_taps(rate, run.bandwidths.torque)
     filtered = low_pass(values, taps)
     if len(filtered) < 4:
-        raise IdentificationError(f"{run.source.path}: too short for a low-pass of {run.bandwidths.torque:.3g} Hz")
+        raise IdentificationError(
+            f"{run.source.path}: too short for a low-pass of {run.bandwidths.torque:.3g} Hz"
+        )
     since = (len(taps) // 2 + np.arange(len(filtered))) / rate
     begin = setpoints.start + float(since[0])
     end = setpoints.start + float(since[-1])
     return make_interp_spline(since, filtered, k=3), max(begin, setpoints.begin), end, saturated
 
 
-def _remarks(record: JointRecord, pieces: tuple[FilteredRun, ...], run: FilteredRun) -> tuple[str, ...]:
+def _remarks(
+    record: JointRecord, pieces: tuple[FilteredRun, ...], run: FilteredRun
+) -> tuple[str, ...]:
     """Return which parts of the bag are not compared, and why."""
     found = []
-    cut = 2.0 * (1.5 / run.bandwidths.position + 12.0 / run.rate)  # cut off by the filters at both ends
-    if len(pieces) > 1 or record.time[-1] - record.time[0] - (run.time[-1] - run.time[0]) > 1.5 * cut:
+    cut = 2.0 * (
+        1.5 / run.bandwidths.position + 12.0 / run.rate
+    )  # cut off by the filters at both ends
+    if (
+        len(pieces) > 1
+        or record.time[-1] - record.time[0] - (run.time[-1] - run.time[0]) > 1.5 * cut
+    ):
         found.append(
             f"there are gaps in the record: only {run.time[0]:.3f} to {run.time[-1]:.3f} s of {record.time[0]:.3f} to "
             f"{record.time[-1]:.3f} s is compared, the longest part without one"
         )
     if record.outliers:
-        found.append(f"left out: {counted(record.outliers, 'sample')} (NaN, single spikes or repeated stamps)")
+        found.append(
+            f"left out: {counted(record.outliers, 'sample')} (NaN, single spikes or repeated stamps)"
+        )
     return tuple(found)
 
 
@@ -461,6 +515,8 @@ def run_along(
     controller = setup.cs7b()
     plant.reset(start)
     controller.reset(plant.motor_states()[0])
-    fast, slow = empty_series(ticks, setup.rates.ratio, record_fast=record_fast, arm=setup.drives.turning.size)
+    fast, slow = empty_series(
+        ticks, setup.rates.ratio, record_fast=record_fast, arm=setup.drives.turning.size
+    )
     run_setpoints(plant, controller, setpoints, ticks, fast, slow)
     return fast, slow, np.asarray(controller.saturated / ticks)

@@ -19,7 +19,11 @@ from rx90_emulator.identification.output.plots import DIFFERENCE, DRAWN_S, compa
 from rx90_emulator.identification.output.summary import number, table
 from rx90_emulator.identification.validation.verdict import verdict
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.measured_runs.compare import MeasuredComparison, compare_measured, simulated_setup
+from rx90_emulator.measured_runs.compare import (
+    MeasuredComparison,
+    compare_measured,
+    simulated_setup,
+)
 from rx90_emulator.measured_runs.options import MeasuredTolerances
 
 
@@ -31,8 +35,15 @@ def measured_facts(result: MeasuredComparison) -> tuple[str, ...]:
         f"torques and positions are compared below {result.bandwidths.torque:.3g} Hz ({result.bandwidths.reason})",
         f"the simulated motion is {abs(result.lag) * 1e3:.3f} ms {'later' if result.lag >= 0.0 else 'earlier'}, which "
         "is taken out",
-        *(f"tip, {what}: {path.words}" for what, path in zip(("measured", "simulated"), result.paths, strict=True)),
-        *(f"{name}'s motor is at its limit in {share:.1%} of the simulated time" for name, share in saturated if share),
+        *(
+            f"tip, {what}: {path.words}"
+            for what, path in zip(("measured", "simulated"), result.paths, strict=True)
+        ),
+        *(
+            f"{name}'s motor is at its limit in {share:.1%} of the simulated time"
+            for name, share in saturated
+            if share
+        ),
         *result.remarks,
     )
 
@@ -94,13 +105,17 @@ def _positions(result: MeasuredComparison) -> list[figure]:
         positions = chart(name, "", "rad", height=120)
         compared(positions, time[rows], ("measured", measured), ("simulated", simulated))
         difference = chart(name, "", "mrad", height=120)
-        difference.line(time[rows], 1e3 * (simulated - measured), name="simulated - measured", color=DIFFERENCE)
+        difference.line(
+            time[rows], 1e3 * (simulated - measured), name="simulated - measured", color=DIFFERENCE
+        )
         figures += [positions, difference]
     over_one_x(figures, "time since the comparison began, s", across=2)
     return figures
 
 
-def write_measured(result: MeasuredComparison, setup: Setup, page: Path | str, *, force: bool = False) -> Path:
+def write_measured(
+    result: MeasuredComparison, setup: Setup, page: Path | str, *, force: bool = False
+) -> Path:
     """Write the report of a comparison and return its name.
 
     Args:
@@ -137,7 +152,9 @@ def run_comparison(
     check_targets(page, force=force)
     setup = simulated_setup(files)
     with steps() as step:
-        result = compare_measured(bag, setup, layout, tolerances, bandwidth=bandwidth, progress=step)
+        result = compare_measured(
+            bag, setup, layout, tolerances, bandwidth=bandwidth, progress=step
+        )
     print(measured_summary(result))
     if page is not None:
         print(f"report: {write_measured(result, setup, page, force=force)}")

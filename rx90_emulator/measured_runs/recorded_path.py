@@ -19,7 +19,13 @@ from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.topics import MOTOR_STATES, SAMPLED
 from rx90_emulator.identification.options import MeasuredLayout
-from rx90_emulator.identification.robot import JOINT_STATES, arm_layout, recorded_topic, topic_names, with_signals
+from rx90_emulator.identification.robot import (
+    JOINT_STATES,
+    arm_layout,
+    recorded_topic,
+    topic_names,
+    with_signals,
+)
 from rx90_emulator.loop.line import PathAccuracy, followed_accuracy
 from rx90_emulator.loop.recorded_setup import check_robot
 
@@ -41,13 +47,19 @@ def recorded_accuracy(
         signals: signal map of a table; by default the file beside it.
     """
     check_robot(bag, robot.model.name)
-    options, mapping = with_signals(MeasuredLayout(signals=signals if is_table(bag) else None), [bag])
+    options, mapping = with_signals(
+        MeasuredLayout(signals=signals if is_table(bag) else None), [bag]
+    )
     topic = _arm_topic(bag, mapping)
     setpoint_topic = _setpoint_topic(bag, topic, mapping)
     if setpoint_topic is None:
         return None
-    layout = arm_layout(topic, robot.joint_names, options, lambda: load_drives(files.drives), mapping)
-    series = read_joint_bag(bag, [topic, setpoint_topic], mapping=mapping, record_time=layout.record_time)
+    layout = arm_layout(
+        topic, robot.joint_names, options, lambda: load_drives(files.drives), mapping
+    )
+    series = read_joint_bag(
+        bag, [topic, setpoint_topic], mapping=mapping, record_time=layout.record_time
+    )
     arm = _last_run(bag, series.one(topic, layout.messages))
     setpoints = _last_run(bag, series.one(setpoint_topic, robot.joint_names))
     counted = arm.take(_between_setpoints(arm, setpoints))
@@ -60,10 +72,16 @@ def recorded_accuracy(
 
 def _arm_topic(bag: Path, mapping: LogMapping | None) -> str:
     for wanted in (JOINT_STATES, MOTOR_STATES):
-        topics = [topic for topic in topic_names(bag, mapping) if topic.rpartition("/")[2] == wanted]
-        topics = [topic for topic in topics if f"/{SAMPLED}/" not in topic]  # the same once more, for those who look on
+        topics = [
+            topic for topic in topic_names(bag, mapping) if topic.rpartition("/")[2] == wanted
+        ]
+        topics = [
+            topic for topic in topics if f"/{SAMPLED}/" not in topic
+        ]  # the same once more, for those who look on
         if len(topics) > 1:
-            raise BagError(f"{plain(bag)}: holds several arms, {listed(sorted(topics))}; accepted: a bag of one arm")
+            raise BagError(
+                f"{plain(bag)}: holds several arms, {listed(sorted(topics))}; accepted: a bag of one arm"
+            )
         if topics:
             return topics[0]
     return absolute(recorded_topic(bag, (JOINT_STATES, MOTOR_STATES), mapping))
@@ -72,7 +90,9 @@ def _arm_topic(bag: Path, mapping: LogMapping | None) -> str:
 def _setpoint_topic(bag: Path, arm: str, mapping: LogMapping | None) -> str | None:
     """Return the topic of set-points in the arm's namespace, or below it."""
     namespace = arm.rpartition("/")[0]
-    topics = [topic for topic in topic_names(bag, mapping) if topic.rpartition("/")[2] == _SET_POINTS]
+    topics = [
+        topic for topic in topic_names(bag, mapping) if topic.rpartition("/")[2] == _SET_POINTS
+    ]
     topics = [topic for topic in topics if topic.startswith(f"{namespace}/")]
     return min(topics, key=lambda topic: topic.count("/"), default=None)
 
@@ -80,7 +100,9 @@ def _setpoint_topic(bag: Path, arm: str, mapping: LogMapping | None) -> str | No
 def _last_run(bag: Path, series: JointSeries) -> JointSeries:
     """Return finite positions at increasing stamps; after a jump back by more than a gap only what follows it."""
     if series.position is None:
-        raise BagError(f"{plain(bag)}: {series.topic} carries no positions; accepted: a bag with joint angles")
+        raise BagError(
+            f"{plain(bag)}: {series.topic} carries no positions; accepted: a bag with joint angles"
+        )
     finite: Mask = np.asarray(np.isfinite(series.position).all(axis=1))
     series = series.take(finite)
     back = np.flatnonzero(np.diff(series.stamp_ns) < -_longest_step(series))
@@ -88,7 +110,9 @@ def _last_run(bag: Path, series: JointSeries) -> JointSeries:
         series = series.take(slice(int(back[-1]) + 1, None))
     rows = np.unique(series.stamp_ns, return_index=True)[1]
     if len(rows) < 2:
-        raise BagError(f"{plain(bag)}: {series.topic} has no two stamps; accepted: increasing stamps")
+        raise BagError(
+            f"{plain(bag)}: {series.topic} has no two stamps; accepted: increasing stamps"
+        )
     return series.take(rows)
 
 

@@ -103,7 +103,13 @@ def run_sweep(
         else:
             pool_of = dask_pool(sweep, scheduler)
         hidden = True if quiet else None  # None: shown on a terminal only
-        bar = tqdm(total=len(sweep), initial=len(sweep) - len(missing), desc="sweep", unit="run", disable=hidden)
+        bar = tqdm(
+            total=len(sweep),
+            initial=len(sweep) - len(missing),
+            desc="sweep",
+            unit="run",
+            disable=hidden,
+        )
         with pool_of as pool, bar:
             for outcomes in run_all(pool, missing):
                 store.add(outcomes)
@@ -144,7 +150,9 @@ def local_pool(sweep: Sweep, workers: int) -> Iterator[Pool]:
 
     def submit(chunk: Chunk) -> Future[Outcomes]:
         # Fork with Ctrl-C and the like blocked: a terminal sends it to the workers too, and they must overlook it.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+        before = signal.pthread_sigmask(
+            signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+        )
         try:
             return processes.submit(_run_in_worker, chunk)
         finally:
@@ -154,7 +162,9 @@ def local_pool(sweep: Sweep, workers: int) -> Iterator[Pool]:
         submit([])  # forks before the caller starts any thread
         yield Pool(workers, submit)
     except BrokenProcessPool as error:
-        raise SweepError(f"a worker process died, killed or out of memory; {_RESUME_ADVICE}") from error
+        raise SweepError(
+            f"a worker process died, killed or out of memory; {_RESUME_ADVICE}"
+        ) from error
     finally:
         stop.value = 1
         processes.shutdown(wait=True, cancel_futures=True)
@@ -194,7 +204,9 @@ def dask_pool(sweep: Sweep, address: str) -> Iterator[Pool]:
         FailureError: if Dask is not installed.
     """
     if not _ADDRESS.fullmatch(address):
-        raise SweepError(f"the scheduler is {quoted(address)}; accepted: an address such as tcp://host:8786")
+        raise SweepError(
+            f"the scheduler is {quoted(address)}; accepted: an address such as tcp://host:8786"
+        )
     try:
         distributed: Any = import_module("distributed")
     except ImportError as error:  # which most sweeps do without
@@ -206,17 +218,25 @@ def dask_pool(sweep: Sweep, address: str) -> Iterator[Pool]:
         try:
             client = distributed.Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
         except (OSError, ValueError) as error:  # TimeoutError is an OSError
-            raise SweepError(f"no Dask scheduler answers at {address} ({one_line(error)})") from error
+            raise SweepError(
+                f"no Dask scheduler answers at {address} ({one_line(error)})"
+            ) from error
         workers = sum(client.ncores().values())
         if not workers:
-            raise SweepError(f"the Dask scheduler at {address} has no workers; accepted: at least one")
+            raise SweepError(
+                f"the Dask scheduler at {address} has no workers; accepted: at least one"
+            )
         executor = client.get_executor(pure=False)
         payload = pickle.dumps(sweep)
         yield Pool(workers, lambda chunk: executor.submit(_run_on_cluster, payload, chunk))
     except (distributed.KilledWorker, CancelledError, OSError) as error:
-        raise SweepError(f"the Dask cluster at {address} failed ({one_line(error)}); {_RESUME_ADVICE}") from error
+        raise SweepError(
+            f"the Dask cluster at {address} failed ({one_line(error)}); {_RESUME_ADVICE}"
+        ) from error
     except ImportError as error:
-        raise SweepError(f"a Dask worker lacks the emulator ({error}); accepted: the same version") from error
+        raise SweepError(
+            f"a Dask worker lacks the emulator ({error}); accepted: the same version"
+        ) from error
     finally:
         if client is not None:
             client.close()

@@ -75,13 +75,17 @@ def _refuse_infinite(*values: float) -> None:
 
 def _count(count: float) -> int:
     if count != int(count) or not 1 <= count <= MOST_VALUES:
-        raise ConfigError(f"the count of values is {count:g}; accepted: a whole number in [1, {MOST_VALUES}]")
+        raise ConfigError(
+            f"the count of values is {count:g}; accepted: a whole number in [1, {MOST_VALUES}]"
+        )
     return int(count)
 
 
 def _check_bounds(low: float, high: float) -> None:
     if not low < high:
-        raise ConfigError(f"the bounds are {low:g} and {high:g}; accepted: a lower one below the higher one")
+        raise ConfigError(
+            f"the bounds are {low:g} and {high:g}; accepted: a lower one below the higher one"
+        )
 
 
 @dataclass(frozen=True)
@@ -180,7 +184,9 @@ class SweptParameter:
     def __post_init__(self) -> None:
         object.__setattr__(self, "paths", self.paths or (self.name,))
         if self.each and isinstance(self.space, Values):
-            raise ConfigError(f"parameter '{self.name}' of a grid has each; accepted: in random draws only")
+            raise ConfigError(
+                f"parameter '{self.name}' of a grid has each; accepted: in random draws only"
+            )
 
 
 @dataclass(frozen=True)
@@ -206,11 +212,15 @@ class Block:
         if self.draws < 1:
             raise ConfigError(f"draws is {self.draws}; accepted: an integer >= 1")
         if self.draws > 1 and not self.random:
-            raise ConfigError(f"draws is {self.draws} without random parameters; accepted: parameters to draw")
+            raise ConfigError(
+                f"draws is {self.draws} without random parameters; accepted: parameters to draw"
+            )
         _refuse_twice("parameter", (parameter.name for parameter in (*self.grid, *self.random)))
         listed = all(isinstance(parameter.space, Values) for parameter in self.grid)
         if not listed or any(isinstance(parameter.space, Values) for parameter in self.random):
-            raise ConfigError(f"block '{self.name}'; accepted: lists of values in grid, distributions in random")
+            raise ConfigError(
+                f"block '{self.name}'; accepted: lists of values in grid, distributions in random"
+            )
 
     @property
     def points(self) -> int:
@@ -245,7 +255,10 @@ class SweepBase:
             if path is not None:
                 # Wherever the user's own file is, the results are the same.
                 name = path.name if (text := self.files.text(role)) == str(path) else text
-                found[role] = {"name": name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+                found[role] = {
+                    "name": name,
+                    "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+                }
         return found
 
 
@@ -276,13 +289,17 @@ class SweepPlan:
             raise ConfigError(f"the sweep has {self.runs} runs; accepted: up to {MOST_RUNS}")
 
     @classmethod
-    def of_grid(cls, values: Mapping[str, Sequence[Value]], base: SweepBase | None = None) -> SweepPlan:
+    def of_grid(
+        cls, values: Mapping[str, Sequence[Value]], base: SweepBase | None = None
+    ) -> SweepPlan:
         """Return the plan of all combinations of values, by the paths that they set; the last one varies fastest.
 
         Raises:
             ConfigError: for values that are no grid.
         """
-        grid = tuple(SweptParameter(path, space=Values(tuple(listed))) for path, listed in values.items())
+        grid = tuple(
+            SweptParameter(path, space=Values(tuple(listed))) for path, listed in values.items()
+        )
         return cls((Block("grid", grid),), base=base or SweepBase())
 
     @property
@@ -330,7 +347,9 @@ _DRAWN = (
 )
 
 _Pair: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=2, max_length=2)]
-_Value: TypeAlias = Annotated[bool | float, Field(json_schema_extra={"accepted": "finite numbers, or true and false"})]
+_Value: TypeAlias = Annotated[
+    bool | float, Field(json_schema_extra={"accepted": "finite numbers, or true and false"})
+]
 
 
 class SpacedValues(OneOf):
@@ -338,10 +357,12 @@ class SpacedValues(OneOf):
 
     one_of = ("linspace", "geomspace")
 
-    linspace: Annotated[Triple | None, Field(description="Start, stop and count of evenly spaced values.")] = None
-    geomspace: Annotated[Triple | None, Field(description="Start, stop and count of values with a constant ratio.")] = (
-        None
-    )
+    linspace: Annotated[
+        Triple | None, Field(description="Start, stop and count of evenly spaced values.")
+    ] = None
+    geomspace: Annotated[
+        Triple | None, Field(description="Start, stop and count of values with a constant ratio.")
+    ] = None
 
     def space(self) -> Values:
         """Return the values."""
@@ -365,8 +386,12 @@ class DrawnValues(OneOf):
 
     one_of = ("uniform", "loguniform", "normal")
 
-    uniform: Annotated[_Pair | None, Field(description="Bounds; every value between them is as likely.")] = None
-    loguniform: Annotated[_Pair | None, Field(description="Bounds, above 0; the logarithm is uniform.")] = None
+    uniform: Annotated[
+        _Pair | None, Field(description="Bounds; every value between them is as likely.")
+    ] = None
+    loguniform: Annotated[
+        _Pair | None, Field(description="Bounds, above 0; the logarithm is uniform.")
+    ] = None
     normal: NormalDistribution | None = None
 
     def space(self) -> Distribution:
@@ -397,26 +422,43 @@ class _Swept(OneOf):
     paths: Annotated[
         tuple[str, ...] | None,
         Field(
-            strict=False, min_length=1, description="Paths, such as friction.*.c0, that are all set to the same value."
+            strict=False,
+            min_length=1,
+            description="Paths, such as friction.*.c0, that are all set to the same value.",
         ),
     ] = None
     each: Annotated[
-        bool, Field(description="Whether every place that a * stands for is drawn on its own; of random draws only.")
+        bool,
+        Field(
+            description="Whether every place that a * stands for is drawn on its own; of random draws only."
+        ),
     ] = False
 
-    def _parameter(self, where: str, name: str, value: _Space | None, factor: _Space | None) -> SweptParameter:
+    def _parameter(
+        self, where: str, name: str, value: _Space | None, factor: _Space | None
+    ) -> SweptParameter:
         given = factor if value is None else value
         with located(f"{where}.{'factor' if value is None else 'value'}"):
-            space = given.space() if isinstance(given, SpacedValues | DrawnValues) else Values(given or ())
+            space = (
+                given.space()
+                if isinstance(given, SpacedValues | DrawnValues)
+                else Values(given or ())
+            )
         with located(where):
-            return SweptParameter(name, paths=self.paths or (), factor=value is None, space=space, each=self.each)
+            return SweptParameter(
+                name, paths=self.paths or (), factor=value is None, space=space, each=self.each
+            )
 
 
 class GridParameter(_Swept):
     """A quantity with a list of values; its name is the path that it sets, unless there are paths."""
 
-    value: Annotated[_Listed | None, Field(description="The values, which replace what the files have.")] = None
-    factor: Annotated[_Listed | None, Field(description="The values, which multiply what the files have.")] = None
+    value: Annotated[
+        _Listed | None, Field(description="The values, which replace what the files have.")
+    ] = None
+    factor: Annotated[
+        _Listed | None, Field(description="The values, which multiply what the files have.")
+    ] = None
 
     def parameter(self, where: str, name: str) -> SweptParameter:
         """Return the quantity of this name; `where` names it in refusals."""
@@ -426,8 +468,12 @@ class GridParameter(_Swept):
 class DrawnParameter(_Swept):
     """A quantity with a distribution; its name is the path that it sets, unless there are paths."""
 
-    value: Annotated[_Drawn | None, Field(description="Distribution of what replaces the files' value.")] = None
-    factor: Annotated[_Drawn | None, Field(description="Distribution of what multiplies the files' value.")] = None
+    value: Annotated[
+        _Drawn | None, Field(description="Distribution of what replaces the files' value.")
+    ] = None
+    factor: Annotated[
+        _Drawn | None, Field(description="Distribution of what multiplies the files' value.")
+    ] = None
 
     def parameter(self, where: str, name: str) -> SweptParameter:
         """Return the quantity of this name; `where` names it in refusals."""
@@ -441,15 +487,21 @@ class BlockFile(FileModel):
         Some[GridParameter] | None,
         Field(description="Parameters with lists of values, the last one varying fastest."),
     ] = None
-    random: Annotated[Some[DrawnParameter] | None, Field(description="Parameters with distributions.")] = None
-    draws: Annotated[int | None, Field(ge=1, le=MOST_RUNS, description="How often the random ones are drawn.")] = None
+    random: Annotated[
+        Some[DrawnParameter] | None, Field(description="Parameters with distributions.")
+    ] = None
+    draws: Annotated[
+        int | None, Field(ge=1, le=MOST_RUNS, description="How often the random ones are drawn.")
+    ] = None
 
     @model_validator(mode="after")
     def _check_parts(self) -> BlockFile:
         if self.grid is None and self.random is None:
             raise ValueError("has no parameters; accepted: one or both of grid, random")
         if self.random is not None and self.draws is None:
-            raise ValueError(f"draws is missing beside random; accepted: an integer in [1, {MOST_RUNS}]")
+            raise ValueError(
+                f"draws is missing beside random; accepted: an integer in [1, {MOST_RUNS}]"
+            )
         return self
 
     def block(self, where: str, name: str) -> Block:
@@ -457,31 +509,45 @@ class BlockFile(FileModel):
         listed = {} if self.grid is None else self.grid.entries
         drawn = {} if self.random is None else self.random.entries
         grid = tuple(swept.parameter(f"{where}.grid.{key}", key) for key, swept in listed.items())
-        random = tuple(swept.parameter(f"{where}.random.{key}", key) for key, swept in drawn.items())
+        random = tuple(
+            swept.parameter(f"{where}.random.{key}", key) for key, swept in drawn.items()
+        )
         with located(where):
             return Block(name, grid, random, 1 if self.draws is None else self.draws)
 
 
 def _file(role: str) -> Any:
     about = f"{DESCRIPTIONS[role][0].upper()}{DESCRIPTIONS[role][1:]}"
-    return Field(description=f"{about}: beside the plan, or a shipped one; the robot's {FILES[role]} if left out.")
+    return Field(
+        description=f"{about}: beside the plan, or a shipped one; the robot's {FILES[role]} if left out."
+    )
 
 
 class BaseFile(FileModel):
     """What every run starts from."""
 
-    robot: Annotated[str | None, Field(description="A shipped robot, or a robot folder; the RX90B if left out.")] = None
+    robot: Annotated[
+        str | None, Field(description="A shipped robot, or a robot folder; the RX90B if left out.")
+    ] = None
     urdf: Annotated[str | None, _file("urdf")] = None
     tool: Annotated[str | None, _file("tool")] = None
     drives: Annotated[str | None, _file("drives")] = None
     friction: Annotated[str | None, _file("friction")] = None
     controller: Annotated[str | None, _file("controller")] = None
     task: Annotated[str | None, _file("task")] = None
-    base_rate: Annotated[int, quantity("Hz", "Rate of plant and velocity loop.", ge=1, le=10**9)] = Rates.base_hz
-    position_rate: Annotated[int, quantity("Hz", "Rate of the position loop.", ge=1, le=10**9)] = Rates.position_hz
+    base_rate: Annotated[
+        int, quantity("Hz", "Rate of plant and velocity loop.", ge=1, le=10**9)
+    ] = Rates.base_hz
+    position_rate: Annotated[int, quantity("Hz", "Rate of the position loop.", ge=1, le=10**9)] = (
+        Rates.position_hz
+    )
     substeps: Annotated[
         int | None,
-        Field(ge=1, le=1000, description="Plant steps in a tick; left out: as many as the arm of each run needs."),
+        Field(
+            ge=1,
+            le=1000,
+            description="Plant steps in a tick; left out: as many as the arm of each run needs.",
+        ),
     ] = None
 
     def base(self, file: Path, robot: str | None) -> SweepBase:
@@ -519,6 +585,8 @@ def load_sweep_plan(name: Path | str, *, robot: Path | str | None = None) -> Swe
     plan = read_model(PlanFile, file)
     base = plan.base.base(file, None if robot is None else str(robot))
     where = f"{plain(file)}: blocks"
-    blocks = tuple(block.block(f"{where}.{plain(key)}", key) for key, block in plan.blocks.entries.items())
+    blocks = tuple(
+        block.block(f"{where}.{plain(key)}", key) for key, block in plan.blocks.entries.items()
+    )
     with located(where):
         return SweepPlan(blocks, plan.seed, base)

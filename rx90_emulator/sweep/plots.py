@@ -23,15 +23,27 @@ def distribution(errors: Mapping[str, Array]) -> list[figure]:
         known = np.sort(values[np.isfinite(values)])
         share = np.arange(1, len(known) + 1) / len(known)
         shown = chart(
-            "", f"{label} path error, mm", "share of runs at or below", height=220, y_range=DataRange1d(start=0.0)
+            "",
+            f"{label} path error, mm",
+            "share of runs at or below",
+            height=220,
+            y_range=DataRange1d(start=0.0),
         )
         shown.hspan([0.5], name="median", line_color=GREY, line_dash="dotted")
-        shown.line(np.repeat(known, 2)[1:], np.repeat(share, 2)[:-1], name="runs", color=COLOURS[1 - k], line_width=2.0)
+        shown.line(
+            np.repeat(known, 2)[1:],
+            np.repeat(share, 2)[:-1],
+            name="runs",
+            color=COLOURS[1 - k],
+            line_width=2.0,
+        )
         figures.append(shown)
     return figures
 
 
-def main_effects(worst: Array, effects: Sequence[MainEffect], rows: NDArray[np.intp]) -> list[figure]:
+def main_effects(
+    worst: Array, effects: Sequence[MainEffect], rows: NDArray[np.intp]
+) -> list[figure]:
     """Show the worst path errors, mm, of some runs against each parameter, and the means that are its main effect."""
     figures = []
     for effect in effects:

@@ -57,15 +57,25 @@ class SweepFigures:
         errors = {name: _MILLI * _numbers(table[name]) for name in _PATH_METRICS}
         worst = errors[_PATH_METRICS[0]]
         if not np.isfinite(worst).any():
-            raise SweepError(f"{plain(file)}: no run has succeeded; accepted: results with a path error")
-        columns = [_column(table, field) for field in table.schema if field.metadata[b"kind"] == b"parameter"]
-        effects = [effect for effect in (main_effect(column, worst) for column in columns) if effect.runs]
+            raise SweepError(
+                f"{plain(file)}: no run has succeeded; accepted: results with a path error"
+            )
+        columns = [
+            _column(table, field)
+            for field in table.schema
+            if field.metadata[b"kind"] == b"parameter"
+        ]
+        effects = [
+            effect for effect in (main_effect(column, worst) for column in columns) if effect.runs
+        ]
         effects.sort(key=lambda effect: (-np.nan_to_num(effect.share), -np.ptp(effect.means)))
         return cls(about(table.schema, file), table, errors, effects)
 
 
 def _numbers(column: pa.ChunkedArray) -> Array:
-    numbers = pc.cast(pc.cast(column, pa.int8()) if pa.types.is_boolean(column.type) else column, pa.float64())
+    numbers = pc.cast(
+        pc.cast(column, pa.int8()) if pa.types.is_boolean(column.type) else column, pa.float64()
+    )
     return np.asarray(numbers.fill_null(np.nan).to_numpy(), dtype=np.float64)
 
 
@@ -94,7 +104,9 @@ def sweep_page(file: Path) -> str:
         median=float(np.median(figures.worst[good])),
         percentile=float(np.quantile(figures.worst[good], 0.95)),
         largest=float(figures.worst[order[0]]),
-        distribution=distribution({"worst": figures.worst, "RMS": figures.errors[_PATH_METRICS[1]]}),
+        distribution=distribution(
+            {"worst": figures.worst, "RMS": figures.errors[_PATH_METRICS[1]]}
+        ),
         effects=main_effects(figures.worst, drawn, shown),
         sampled=len(shown) if len(shown) < len(good) else 0,
         rows=figures.effects,
@@ -103,7 +115,9 @@ def sweep_page(file: Path) -> str:
     )
 
 
-def _runs(figures: SweepFigures, rows: NDArray[np.intp]) -> Iterator[tuple[int, str, str, list[float]]]:
+def _runs(
+    figures: SweepFigures, rows: NDArray[np.intp]
+) -> Iterator[tuple[int, str, str, list[float]]]:
     """Yield index, block, values of the parameters of largest effect, and errors, mm and mrad, of some runs."""
     for row in rows.tolist():
         values = []
@@ -116,4 +130,9 @@ def _runs(figures: SweepFigures, rows: NDArray[np.intp]) -> Iterator[tuple[int, 
         if len(values) > _SHOWN_VALUES:
             values[_SHOWN_VALUES:] = [f"and {len(values) - _SHOWN_VALUES} more"]
         run = figures.table.slice(row, 1).to_pylist()[0]
-        yield run["index"], run["block"], ", ".join(values), [float(error[row]) for error in figures.errors.values()]
+        yield (
+            run["index"],
+            run["block"],
+            ", ".join(values),
+            [float(error[row]) for error in figures.errors.values()],
+        )

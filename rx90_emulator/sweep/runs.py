@@ -97,7 +97,9 @@ class RunList:
         # of the generator keeps the share off 0, where an unbounded quantile is infinite.
         spaces = [column.space for column in columns if not isinstance(column.space, Values)]
         shares = np.random.default_rng(seed).random(len(spaces)) + 2.0**-54
-        values += [space.quantile(share) for space, share in zip(spaces, shares.tolist(), strict=True)]
+        values += [
+            space.quantile(share) for space, share in zip(spaces, shares.tolist(), strict=True)
+        ]
         names = [column.name for column in columns]
         return RunDescription(index, block.name, seed, tuple(zip(names, values, strict=True)))
 
@@ -117,8 +119,13 @@ def _bind(block: Block, catalogue: Catalogue) -> Sequence[Column]:
     for parameter in (*block.grid, *block.random):
         with located(f"block '{block.name}', parameter '{parameter.name}'"):
             places = [place for path in parameter.paths for place in catalogue.places(path)]
-            each = [replace(parameter, name=place.path, paths=(place.path,), each=False) for place in places]
-            columns += [_column(one, catalogue) for one in (each if parameter.each else [parameter])]
+            each = [
+                replace(parameter, name=place.path, paths=(place.path,), each=False)
+                for place in places
+            ]
+            columns += [
+                _column(one, catalogue) for one in (each if parameter.each else [parameter])
+            ]
     owner: dict[Leaf, Column] = {}
     for column in columns:
         for leaf in column.leaves:
@@ -135,14 +142,18 @@ def _column(parameter: SweptParameter, catalogue: Catalogue) -> Column:
     units = sorted({place.unit for place in places})
     switch = SWITCH in units
     if len(units) > 1 and (switch or not parameter.factor):
-        raise ConfigError(f"its paths have different units ({', '.join(units)}); accepted: one unit")
+        raise ConfigError(
+            f"its paths have different units ({', '.join(units)}); accepted: one unit"
+        )
     if switch and parameter.factor:
         raise ConfigError("a factor of true or false; accepted: value")
     if isinstance(parameter.space, Values):
         for value in parameter.space.values:
             places[0].check(value)
     elif switch:
-        raise ConfigError("true or false is drawn from a distribution; accepted: a grid of true and false")
+        raise ConfigError(
+            "true or false is drawn from a distribution; accepted: a grid of true and false"
+        )
     leaves = tuple(leaf for place in places for leaf in place.leaves)
     if len(set(leaves)) < len(leaves):
         raise ConfigError("its paths set a value twice; accepted: once")

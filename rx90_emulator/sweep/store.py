@@ -55,13 +55,19 @@ def schema_of(sweep: Sweep) -> pa.Schema:
         meaning = f"{'factor' if column.factor else 'value'} of {', '.join(column.paths)}; null where the run leaves it"
         kind, unit = (pa.bool_(), "") if column.unit == SWITCH else (pa.float64(), column.unit)
         rows.append((column.title, kind, unit, "parameter", f"{meaning} as in the files"))
-    rows += [(m.name, pa.int64() if m.whole else pa.float64(), m.unit, "metric", m.meaning) for m in sweep.metrics]
+    rows += [
+        (m.name, pa.int64() if m.whole else pa.float64(), m.unit, "metric", m.meaning)
+        for m in sweep.metrics
+    ]
     rows.append((error, pa.string(), "", "run", "what ended the run; null if nothing did"))
     about = {
         "format": 1, "runs": len(sweep), "seed": sweep.plan.seed, "plan": sweep.description,
         **{name: getattr(sweep, name) for name in ("identity", "versions", "sources", "provenance")},
     }  # fmt: skip
-    attributes = {"units": {row[0]: row[2] for row in rows}, "meanings": {row[0]: row[4] for row in rows}}
+    attributes = {
+        "units": {row[0]: row[2] for row in rows},
+        "meanings": {row[0]: row[4] for row in rows},
+    }
     fields = [
         pa.field(name, kind, metadata={"unit": unit, "kind": role, "meaning": meaning})
         for name, kind, unit, role, meaning in rows
@@ -90,10 +96,14 @@ def about(schema: pa.Schema, file: Path) -> dict[str, Any]:
         found: dict[str, Any] = json.loads(schema.metadata[KEY])
         written = list(json.loads(schema.metadata[_PANDAS])["units"])
     except (TypeError, KeyError, ValueError) as error:
-        raise SweepError(f"{file} is not a result of rx90 sweep; accepted: a file that it wrote") from error
+        raise SweepError(
+            f"{file} is not a result of rx90 sweep; accepted: a file that it wrote"
+        ) from error
     if schema.names != written:
         lacking = listed([name for name in written if name not in schema.names]) or "none"
-        raise SweepError(f"{file} has other columns, lacking {lacking}; accepted: the file as rx90 sweep wrote it")
+        raise SweepError(
+            f"{file} has other columns, lacking {lacking}; accepted: the file as rx90 sweep wrote it"
+        )
     return found
 
 
@@ -120,17 +130,23 @@ def read_sweep(file: Path | str) -> pa.Table:
             with pa.OSFile(str(source)) as stream:
                 head = pq.read_metadata(stream)
                 pages = sum(head.row_group(k).total_byte_size for k in range(head.num_row_groups))
-                check_whole(source, "columns", max(pages, _NUMBER_BYTES * head.num_rows * head.num_columns))
+                check_whole(
+                    source, "columns", max(pages, _NUMBER_BYTES * head.num_rows * head.num_columns)
+                )
                 stream.seek(0)
                 tables.append(
-                    pq.read_table(stream, use_threads=False, pre_buffer=False, page_checksum_verification=True)
+                    pq.read_table(
+                        stream, use_threads=False, pre_buffer=False, page_checksum_verification=True
+                    )
                 )
         except (OSError, pa.ArrowException, DamagedError) as error:
             accepted = "a result of rx90 sweep run"
             if source != file:
                 accepted = "remove this part, resume (--resume) computes its runs again"
             reason = " ".join(str(error).split())
-            raise SweepError(f"{source}: cannot be read as Parquet ({reason}); accepted: {accepted}") from error
+            raise SweepError(
+                f"{source}: cannot be read as Parquet ({reason}); accepted: {accepted}"
+            ) from error
     for table, source in zip(tables, sources, strict=True):
         about(table.schema, source)
     table = pa.concat_tables(tables)
@@ -171,7 +187,9 @@ class ResultStore:
             self._take_up()
         self._lock = self._open_folder()
         self._waiting: list[RunOutcome] = []
-        numbers = [int(part.stem.removeprefix("part-")) for part in self._parts.glob("part-*.parquet")]
+        numbers = [
+            int(part.stem.removeprefix("part-")) for part in self._parts.glob("part-*.parquet")
+        ]
         self._number = max(numbers, default=-1) + 1
         self._began = self._flushed = time.monotonic()
 
@@ -199,7 +217,9 @@ class ResultStore:
                 raise FileNotFoundError(path)
         except (BlockingIOError, FileNotFoundError) as error:
             os.close(lock)
-            raise SweepError(f"another sweep is writing to {self.file}; accepted: one at a time") from error
+            raise SweepError(
+                f"another sweep is writing to {self.file}; accepted: one at a time"
+            ) from error
         return lock
 
     def __enter__(self) -> ResultStore:
@@ -233,7 +253,9 @@ class ResultStore:
 
     def _gather(self) -> None:
         if any(self._parts.glob("part-*.parquet")):
-            self._write(read_sweep(self.file).replace_schema_metadata(self._schema.metadata), self.file)
+            self._write(
+                read_sweep(self.file).replace_schema_metadata(self._schema.metadata), self.file
+            )
         try:
             shutil.rmtree(self._parts)
         except OSError as error:
@@ -257,7 +279,10 @@ def failures(table: pa.Table) -> list[tuple[str, int, str]]:
     """Return the kinds of failures, most frequent first, each with the number of runs and an example."""
     texts = [text for text in table["error"].to_pylist() if text is not None]
     kinds = Counter(text.partition(":")[0] for text in texts)
-    return [(kind, count, next(t for t in texts if t.startswith(kind))) for kind, count in kinds.most_common()]
+    return [
+        (kind, count, next(t for t in texts if t.startswith(kind)))
+        for kind, count in kinds.most_common()
+    ]
 
 
 def describe_results(file: Path) -> list[str]:
@@ -276,8 +301,13 @@ def describe_results(file: Path) -> list[str]:
     return [
         f"{file}: {state}",
         f"plan {found['identity'][:16]}, seed {found['seed']}, sources {found['sources']}",
-        "versions: " + ", ".join(f"{name} {version}" for name, version in found["versions"].items()),
-        *(f"  {role:10}  {one['sha256'][:16]}  {one['name']}" for role, one in found["plan"]["files"].items() if one),
+        "versions: "
+        + ", ".join(f"{name} {version}" for name, version in found["versions"].items()),
+        *(
+            f"  {role:10}  {one['sha256'][:16]}  {one['name']}"
+            for role, one in found["plan"]["files"].items()
+            if one
+        ),
         failure,
         *_columns(table),
     ]
@@ -285,7 +315,9 @@ def describe_results(file: Path) -> list[str]:
 
 def _columns(table: pa.Table) -> list[str]:
     """Return a line for each parameter and metric: its unit, lowest, median and highest value."""
-    shown = [field for field in table.schema if field.metadata[b"kind"] in (b"parameter", b"metric")]
+    shown = [
+        field for field in table.schema if field.metadata[b"kind"] in (b"parameter", b"metric")
+    ]
     width = max(len(field.name) for field in shown)
     lines = [f"{'column':{width}}  {'unit':8}  {'min':>11}  {'median':>11}  {'max':>11}"]
     for field in shown:

@@ -27,7 +27,9 @@ from rx90_emulator.sweep.plan import SweepPlan, plan_hash
 from rx90_emulator.sweep.runs import RunDescription, RunList
 
 PLANNED_LINES = 64
-_ORIENTATION_STRIDE = 10  # position ticks: the orientation costs as much as all else; its peak is 0.2 % less
+_ORIENTATION_STRIDE = (
+    10  # position ticks: the orientation costs as much as all else; its peak is 0.2 % less
+)
 _KEPT_SETPOINTS = 4
 _Key = TypeVar("_Key")
 _Kept = TypeVar("_Kept")
@@ -58,14 +60,34 @@ def metrics_of(joints: Sequence[str], elements: Sequence[str]) -> tuple[Metric, 
     return (
         Metric("path_error_worst", "m", "largest distance of the tip from the path"),
         Metric("path_error_rms", "m", "root mean square distance of the tip from the path"),
-        Metric("along_track_worst", "m", "largest distance of the tip from its set-point along the path"),
-        Metric("orientation_worst", "rad", "largest angle of the tool from its orientation there, every 10 ticks"),
+        Metric(
+            "along_track_worst",
+            "m",
+            "largest distance of the tip from its set-point along the path",
+        ),
+        Metric(
+            "orientation_worst",
+            "rad",
+            "largest angle of the tool from its orientation there, every 10 ticks",
+        ),
         *(Metric(f"tracking_error_worst_{j}", "rad", worst) for j in joints),
-        *(Metric(f"tracking_error_rms_{j}", "rad", "root mean square position error") for j in joints),
+        *(
+            Metric(f"tracking_error_rms_{j}", "rad", "root mean square position error")
+            for j in joints
+        ),
         *(Metric(f"velocity_peak_{j}", "rad/s", "largest joint speed") for j in joints),
-        *(Metric(f"drive_torque_peak_{j}", "Nm", "largest torque of the drives at the joint") for j in joints),
-        *(Metric(f"friction_work_{e}", "J", "work done against the friction element") for e in elements),
-        *(Metric(f"saturated_ticks_motor_{i + 1}", "1", about, whole=True) for i in range(len(joints))),
+        *(
+            Metric(f"drive_torque_peak_{j}", "Nm", "largest torque of the drives at the joint")
+            for j in joints
+        ),
+        *(
+            Metric(f"friction_work_{e}", "J", "work done against the friction element")
+            for e in elements
+        ),
+        *(
+            Metric(f"saturated_ticks_motor_{i + 1}", "1", about, whole=True)
+            for i in range(len(joints))
+        ),
     )
 
 
@@ -89,14 +111,21 @@ def measure(task: TipTask, result: RunResult) -> tuple[float | int, ...]:
     )  # fmt: skip
 
 
-def _path_errors(task: TipTask, robot: RobotModel, position: Array, times: Array) -> tuple[float, ...]:
+def _path_errors(
+    task: TipTask, robot: RobotModel, position: Array, times: Array
+) -> tuple[float, ...]:
     asked = task.profile().sample(times - task.rest_before).distance
     error = task.error(tip_position(robot.chain, position), asked)
     few = slice(None, None, _ORIENTATION_STRIDE)
     there = task.poses(np.clip(error.along[few], 0.0, task.length))
     turned = turned_by(robot, forward(robot.chain, position[few]), there)
     across = error.perpendicular
-    return float(across.max()), _rms(across), float(np.abs(error.along - asked).max()), float(turned.max())
+    return (
+        float(across.max()),
+        _rms(across),
+        float(np.abs(error.along - asked).max()),
+        float(turned.max()),
+    )
 
 
 def _rms(values: Array) -> float:
@@ -148,7 +177,9 @@ class Sweep:
         taken = {*RUN_COLUMNS, *(metric.name for metric in self.metrics)}
         for column in self.runs.columns:
             if column.title in taken:
-                raise ConfigError(f"a parameter has the name '{column.title}' of a result; accepted: another name")
+                raise ConfigError(
+                    f"a parameter has the name '{column.title}' of a result; accepted: another name"
+                )
             taken.add(column.title)
         self._motions: dict[LineTask | Path, tuple[TrajectoryPoints, LineTask | Path]] = {}
         self._setpoints: dict[tuple[object, ...], Array] = {}
@@ -181,16 +212,27 @@ class Sweep:
             SweepError: if there is no such run.
             Rx90Error: whatever ends it.
         """
-        return self._follow(*apply(self.setup, self.task, self.runs.changes(self.runs.describe(index))))
+        return self._follow(
+            *apply(self.setup, self.task, self.runs.changes(self.runs.describe(index)))
+        )
 
-    def _follow(self, setup: Setup, task: LineTask | Path, duration: float | None = None) -> RunResult:
+    def _follow(
+        self, setup: Setup, task: LineTask | Path, duration: float | None = None
+    ) -> RunResult:
         points, _ = self._motion(task)
 
-        def sample(generator: TrajectoryGenerator, commands: Sequence[MotionCommand], count: int) -> Array:
+        def sample(
+            generator: TrajectoryGenerator, commands: Sequence[MotionCommand], count: int
+        ) -> Array:
             """Return set-points, which runs of the same task, limits and start share."""
             limits = (np.asarray(value).tobytes() for value in vars(generator.limits).values())
             key = task, count, generator.setpoints(0).tobytes(), *limits
-            return _remembered(self._setpoints, key, _KEPT_SETPOINTS, lambda: setpoints_of(generator, commands, count))
+            return _remembered(
+                self._setpoints,
+                key,
+                _KEPT_SETPOINTS,
+                lambda: setpoints_of(generator, commands, count),
+            )
 
         end = float(points.times[-1]) if duration is None else duration
         return simulate_commands(
@@ -204,7 +246,9 @@ class Sweep:
         try:
             with np.errstate(all="ignore"):  # a diverging run says so itself
                 setup, task = apply(self.setup, self.task, self.runs.changes(run))
-                return RunOutcome(run, measure(self._motion(task)[1], self._follow(setup, task)), None)
+                return RunOutcome(
+                    run, measure(self._motion(task)[1], self._follow(setup, task)), None
+                )
         except Exception as error:  # the sweep goes on whatever a value has led to
             return RunOutcome(run, None, " ".join(f"{type(error).__name__}: {error}".split()))
 
@@ -216,7 +260,9 @@ class Sweep:
         """
         here = run_hash()
         if here != self.sources:
-            raise SweepError(f"{platform.node()} runs other sources of the emulator ({here}); accepted: {self.sources}")
+            raise SweepError(
+                f"{platform.node()} runs other sources of the emulator ({here}); accepted: {self.sources}"
+            )
 
 
 def _remembered(kept: dict[_Key, _Kept], key: _Key, most: int, make: Callable[[], _Kept]) -> _Kept:

@@ -20,7 +20,9 @@ from rx90_controller.lines.task import TipTask
 from rx90_emulator.view.page import Page, block
 from rx90_emulator.view.scene import ArmScene, LineScene, legend_html
 
-_STALE = 2.5  # s; the samples of a simulation come again four times a second while time stands still
+_STALE = (
+    2.5  # s; the samples of a simulation come again four times a second while time stands still
+)
 _PACE_WINDOW = 2.0  # s
 _LEAST_WINDOW = 0.5  # s, of a pace: messages that waited come together
 _POSE_PERIOD = 1.0 / 30.0  # s
@@ -45,7 +47,12 @@ class LiveView:
     """
 
     def __init__(
-        self, page: Page, client: ClientNode, robot: RobotModel, controller: str, line: TipTask | None
+        self,
+        page: Page,
+        client: ClientNode,
+        robot: RobotModel,
+        controller: str,
+        line: TipTask | None,
     ) -> None:
         self._model = robot
         self._robot = str(robot.model.name)
@@ -64,7 +71,11 @@ class LiveView:
             with page.gui.add_folder("Diagnostics", expand_by_default=False):
                 self._diagnostics = page.gui.add_html("")
         # A simulation that hurries needs the processors more than the eye needs smoothness.
-        periods = {self._update: _POSE_PERIOD, self._draw: _TRACE_PERIOD, self._show_status: _STATUS_PERIOD}
+        periods = {
+            self._update: _POSE_PERIOD,
+            self._draw: _TRACE_PERIOD,
+            self._show_status: _STATUS_PERIOD,
+        }
         for show, period in periods.items():
             page.every(period, show, busy=lambda now: self.pace(now) > MAX_DISPLAY_RTF)
 
@@ -76,7 +87,9 @@ class LiveView:
         """Tell whether the last trajectory has been over for so long, in simulated time; from any thread."""
         state = self.state
         span = self.watch.trajectory
-        return state is not None and (span is None or not span.begin <= state.time < span.end + seconds)
+        return state is not None and (
+            span is None or not span.begin <= state.time < span.end + seconds
+        )
 
     def pace(self, now: float) -> float:
         """Return simulated time per time of the wall clock over the last seconds, NaN while these are too few.
@@ -174,7 +187,9 @@ class LiveView:
         self._status.content = _table(rows)
         parts = []
         for name, status in sorted(watch.diagnostics.items()):
-            values = _table((html.escape(key), html.escape(value)) for key, value in status.values.items())
+            values = _table(
+                (html.escape(key), html.escape(value)) for key, value in status.values.items()
+            )
             parts.append(block(f"<b>{html.escape(name)}</b>: {_word(status)}{values}"))
         self._diagnostics.content = "".join(parts) or _table([("", "nothing on /diagnostics yet")])
 

@@ -62,10 +62,14 @@ class Page:
 
     def __init__(self, title: str, host: str = "127.0.0.1", port: int = 8080) -> None:
         self._open_to_others = _is_open_to_others(host, port)
-        rich.get_console().quiet = True  # viser draws a box with addresses, and tells of each connection
+        rich.get_console().quiet = (
+            True  # viser draws a box with addresses, and tells of each connection
+        )
         # Somebody closed a connection before it was one: a tab that was closed early, a scan of ports. Viser leaves
         # that out, too, but only from the first request on.
-        logging.getLogger("websockets.server").addFilter(lambda said: said.getMessage() != "opening handshake failed")
+        logging.getLogger("websockets.server").addFilter(
+            lambda said: said.getMessage() != "opening handshake failed"
+        )
         self.server = _Server(host=host, port=port, label=title, verbose=False)
         bound = self.server.get_port()
         if port and bound != port:  # viser takes the next one that is free
@@ -83,11 +87,15 @@ class Page:
         # No SimpleQueue: its wait has no end where a signal is handled until after the time-out.
         self._handed_over: queue.Queue[Callable[[], None]] = queue.Queue()
         # When the next call is due, a number by which calls of one time are in order, and what `every` was given.
-        self._timed: list[tuple[float, int, float, Callable[[float], None], Callable[[float], bool]]] = []
+        self._timed: list[
+            tuple[float, int, float, Callable[[float], None], Callable[[float], bool]]
+        ] = []
         self._numbers = itertools.count()
         self.scene.set_up_direction("+z")
         self.scene.world_axes.visible = False
-        self.scene.add_grid("/floor", 2.4, 2.4, cell_size=0.1, section_size=0.5, position=(0.0, 0.0, -0.001))
+        self.scene.add_grid(
+            "/floor", 2.4, 2.4, cell_size=0.1, section_size=0.5, position=(0.0, 0.0, -0.001)
+        )
         # The usual environment takes the colours away.
         self.scene.configure_environment_map("studio", environment_intensity=0.35)
 
@@ -114,7 +122,10 @@ class Page:
         self.server.on_client_connect(step_back)
 
     def every(
-        self, period: float, function: Callable[[float], None], busy: Callable[[float], bool] = lambda _: False
+        self,
+        period: float,
+        function: Callable[[float], None],
+        busy: Callable[[float], bool] = lambda _: False,
     ) -> None:
         """Call `function(now)` every `period` s while the page runs, on its thread; late calls are left out.
 
@@ -129,15 +140,23 @@ class Page:
     def announce(self, *, browser: bool) -> None:
         """Print the address, and open it in a browser if there is a screen; say when it is open."""
         unopened = threading.Lock()
-        self.server.on_client_connect(lambda _: print(OPENED, flush=True) if unopened.acquire(blocking=False) else None)
+        self.server.on_client_connect(
+            lambda _: print(OPENED, flush=True) if unopened.acquire(blocking=False) else None
+        )
         if self._open_to_others:
             print(TO_OTHERS, flush=True)
         print(f"page: {self.address} (Ctrl-C ends it)", flush=True)
         if browser and any(os.environ.get(name) for name in _SCREENS):
             # Some browsers are waited for until they end.
-            threading.Thread(target=webbrowser.open, args=[self.address], name="browser", daemon=True).start()
+            threading.Thread(
+                target=webbrowser.open, args=[self.address], name="browser", daemon=True
+            ).start()
 
-    def run(self, until: Callable[[], bool] = lambda: False, check_interrupt: Callable[[], None] | None = None) -> None:
+    def run(
+        self,
+        until: Callable[[], bool] = lambda: False,
+        check_interrupt: Callable[[], None] | None = None,
+    ) -> None:
         """Run the parts until `until()` holds.
 
         Args:
@@ -157,7 +176,9 @@ class Page:
                     wait = min(wait, max(0.0, due - now))
                     if due <= now:
                         due = max(due + period * (_BUSY_FACTOR if busy(now) else 1), now)
-                        heapq.heapreplace(self._timed, (due, next(self._numbers), period, function, busy))
+                        heapq.heapreplace(
+                            self._timed, (due, next(self._numbers), period, function, busy)
+                        )
                         self._call(partial(function, now))
                 with suppress(queue.Empty):
                     self._call(self._handed_over.get(timeout=wait))
@@ -189,7 +210,9 @@ def _is_open_to_others(host: str, port: int) -> bool:
         family, _, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise ConfigError(f"--host {quoted(host)}: {reason}; accepted: an address of this machine") from error
+        raise ConfigError(
+            f"--host {quoted(host)}: {reason}; accepted: an address of this machine"
+        ) from error
     try:
         with socket.create_server(place, family=family) as bound:
             address = str(bound.getsockname()[0])

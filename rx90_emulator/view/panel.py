@@ -140,7 +140,9 @@ class ControlPanel:
                     part.remove()
                 self._add_inputs(client)
             elif self.lock.left:
-                said.content = block(f"{_LOCKED} That was wrong; left for all pages together: {self.lock.left}")
+                said.content = block(
+                    f"{_LOCKED} That was wrong; left for all pages together: {self.lock.left}"
+                )
             else:
                 self._lock_for_good()
 
@@ -172,12 +174,16 @@ class ControlPanel:
             for joint, name in enumerate(self._limits.names):
                 low, high = self._jogs.ranges[joint]
                 slider = gui.add_slider(f"{name}, deg", low, high, _STEP, min(max(0.0, low), high))
-                slider.on_update(self._from_user(partial(self._drag, joint), partial(_within, low, high)))
+                slider.on_update(
+                    self._from_user(partial(self._drag, joint), partial(_within, low, high))
+                )
                 sliders.append(slider)
             trace = self._trace
             if trace is not None:
                 drawn = gui.add_dropdown("error drawn \u00d7", _MAGNIFICATIONS)
-                magnify = self._from_user(lambda factor: trace.magnify(float(factor)), _MAGNIFICATIONS.__contains__)
+                magnify = self._from_user(
+                    lambda factor: trace.magnify(float(factor)), _MAGNIFICATIONS.__contains__
+                )
                 drawn.on_update(magnify)
                 gui.add_button("Clear the trace").on_click(self._from_user(lambda _: trace.clear()))
         self._sliders[client.client_id] = sliders
@@ -194,7 +200,9 @@ class ControlPanel:
 
         async def hand_over(event: viser.GuiEvent[Any]) -> None:
             value = event.target.value
-            if event.client_id in self._sliders and accepts(value):  # None: the page has moved a slider
+            if event.client_id in self._sliders and accepts(
+                value
+            ):  # None: the page has moved a slider
                 self._page.later(partial(function, value))
 
         return hand_over
@@ -221,7 +229,9 @@ class ControlPanel:
             self._hear(_PAGE, "no joint_states: does a simulation run?", True)
             return
         try:
-            line = approached(self._plan, arm.position, self._limits, self._set_point_period, Approach())
+            line = approached(
+                self._plan, arm.position, self._limits, self._set_point_period, Approach()
+            )
         except LineError as error:
             self._hear(_PAGE, str(error), True)
         else:
@@ -251,7 +261,9 @@ class ControlPanel:
 
     def _hear(self, node: str, line: str, wrong: bool) -> None:
         style = _WRONG if wrong else ""
-        self._lines.appendleft(f'<div style="{style}"><b>{html.escape(node)}</b> {html.escape(line)}</div>')
+        self._lines.appendleft(
+            f'<div style="{style}"><b>{html.escape(node)}</b> {html.escape(line)}</div>'
+        )
         self._said.content = block("".join(self._lines))
 
 
@@ -311,7 +323,9 @@ class Jogs:
         self._send = send
         lowest = np.ceil(np.degrees(limits.lower) / _STEP - _ROUNDING) * _STEP
         highest = np.floor(np.degrees(limits.upper) / _STEP + _ROUNDING) * _STEP
-        self.ranges: list[tuple[float, float]] = list(zip(lowest.tolist(), highest.tolist(), strict=True))
+        self.ranges: list[tuple[float, float]] = list(
+            zip(lowest.tolist(), highest.tolist(), strict=True)
+        )
         self.target: Array | None = None
         self._unsent = False
         self._sent_at = -math.inf
@@ -337,7 +351,11 @@ class Jogs:
         if now < self._dragged_at + _SETTLED:
             return None
         rests = np.abs(arm.velocity).max() < _AT_REST
-        if self.target is not None and rests and np.abs(arm.position - self.target).max() > _ARRIVED:
+        if (
+            self.target is not None
+            and rests
+            and np.abs(arm.position - self.target).max() > _ARRIVED
+        ):
             self.target = None  # it was refused, or others have moved the arm
         shown = np.degrees(arm.position if self.target is None else self.target)
         ends = zip(shown.tolist(), self.ranges, strict=True)

@@ -83,7 +83,9 @@ def _quaternion(rotation: Array) -> Array:
 
 FULL_SCALE = 1e-4
 """Path error of the last colour, m: what laser welding asks for."""
-_ERROR_COLORS = np.array([(0, 114, 178), (0, 158, 115), (240, 228, 66), (230, 159, 0), (213, 60, 0)], dtype=np.float64)
+_ERROR_COLORS = np.array(
+    [(0, 114, 178), (0, 158, 115), (240, 228, 66), (230, 159, 0), (213, 60, 0)], dtype=np.float64
+)
 _OFF_LINE = np.array([150.0, 150.0, 150.0])
 _SPOT = (255, 40, 40)
 # The page takes the colours of a line's points as brightness of light, and the screen's are not in proportion to it.
@@ -98,7 +100,9 @@ def line_colors(error: Array) -> Array:
     places = np.arange(len(_ERROR_COLORS))
     share = np.clip(np.nan_to_num(error) / FULL_SCALE, 0.0, 1.0) * places[-1]
     colors = np.stack([np.interp(share, places, channel) for channel in _ERROR_COLORS.T], axis=-1)
-    return np.asarray(_LINEAR[np.where(np.isnan(error)[:, None], _OFF_LINE, colors).astype(np.uint8)])
+    return np.asarray(
+        _LINEAR[np.where(np.isnan(error)[:, None], _OFF_LINE, colors).astype(np.uint8)]
+    )
 
 
 def connect(lines: viser.LineSegmentsHandle, points: Array, colors: Array | None = None) -> None:
@@ -111,7 +115,9 @@ def connect(lines: viser.LineSegmentsHandle, points: Array, colors: Array | None
 
 def legend_html() -> str:
     """Return the colours with their path errors as HTML."""
-    stops = ", ".join(f"rgb({red:.0f},{green:.0f},{blue:.0f})" for red, green, blue in _ERROR_COLORS)
+    stops = ", ".join(
+        f"rgb({red:.0f},{green:.0f},{blue:.0f})" for red, green, blue in _ERROR_COLORS
+    )
     grey = ",".join(f"{part:.0f}" for part in _OFF_LINE)
     limit = FULL_SCALE * 1e3
     return (
@@ -124,7 +130,9 @@ def legend_html() -> str:
 
 
 _END_TOLERANCE = 1e-4  # m; a motion that begins and ends so near the line's ends, and keeps so near, is one along it
-_CHORD_TOLERANCE = 0.05  # of its length; between the points of its trajectory it is longer than the straight way
+_CHORD_TOLERANCE = (
+    0.05  # of its length; between the points of its trajectory it is longer than the straight way
+)
 _DURATION_TOLERANCE = 5e-3  # s that a motion may take longer than the line's own: the same speeds
 _PATH_STEP = 5e-3  # m between points of a path that is drawn
 _START_ZONE = 0.01  # m; in these a motion that follows another one bends the bristles back
@@ -154,7 +162,9 @@ class LineScene:
         ends = np.zeros((1, 2, 3), dtype=np.float32)
         self._robot = robot
         line = page.add_lines(f"{name}/line", ends, (30, 30, 30), thickness=2.0)
-        self._spot = page.scene.add_icosphere(f"{name}/spot", 0.007, _SPOT, subdivisions=2, cast_shadow=False)
+        self._spot = page.scene.add_icosphere(
+            f"{name}/spot", 0.007, _SPOT, subdivisions=2, cast_shadow=False
+        )
         # A colour for each end: a page that has seen one for all draws no others until it is loaded again.
         grey = np.full((1, 2, 3), 150, dtype=np.uint8)
         self._trace = page.add_lines(f"{name}/trace", ends, grey, thickness=5.0, visible=False)
@@ -172,7 +182,9 @@ class LineScene:
         self._span = _NO_SPAN
         self._asked = np.zeros((2, 1))
         self._begin = np.nan
-        self._rows = np.empty((0, 4))  # time, distance along the line, path error, orientation error
+        self._rows = np.empty(
+            (0, 4)
+        )  # time, distance along the line, path error, orientation error
         self.clear()
 
     def clear(self) -> None:
@@ -192,7 +204,9 @@ class LineScene:
         self._rows = self._rows[-_KEPT_BEFORE:]
         ends = self._task.poses(np.array([0.0, self._task.length])).position
         whole = self._task.length
-        way = np.concatenate([np.zeros(min(1, len(tips))), np.cumsum(length(np.diff(tips, axis=0)))])
+        way = np.concatenate(
+            [np.zeros(min(1, len(tips))), np.cumsum(length(np.diff(tips, axis=0)))]
+        )
         moves = np.diff(way) > 0.0
         begins = np.flatnonzero(at_rest[:-1] & moves)
         finishes = np.flatnonzero(at_rest[1:] & moves) + 1
@@ -206,10 +220,17 @@ class LineScene:
             error = self._task.error(tips[first : last + 1], asked)
             if error.perpendicular.max() < _END_TOLERANCE:
                 self._asked = np.stack([times[first : last + 1], error.along])
-                self._span = float(times[first]), float(times[last] + min(SETTLING, times[-1] - times[last]))
+                self._span = (
+                    float(times[first]),
+                    float(times[last] + min(SETTLING, times[-1] - times[last])),
+                )
                 # The points at rest lie half a set-point before the motion and behind it.
                 longer = float(times[last] - times[first]) - self._task.profile().duration
-                self._begin = float(times[first]) + 0.5 * longer if 0.0 <= longer < _DURATION_TOLERANCE else np.nan
+                self._begin = (
+                    float(times[first]) + 0.5 * longer
+                    if 0.0 <= longer < _DURATION_TOLERANCE
+                    else np.nan
+                )
 
     def add(self, times: Array, tips: Array, rotation: Array | None = None) -> Array:
         """Add positions of the spot; return its path errors, m, NaN where it is on no run along the line.
@@ -234,7 +255,9 @@ class LineScene:
             at = self._rows[:, 0]
             when, along, across, angle = self._rows[(at >= self._span[0]) & (at <= self._span[1])].T
             ahead = along - self._task.profile().sample(when - self._begin).distance
-            self.run = PathAccuracy(when, along, across, None if np.isnan(self._begin) else ahead, angle)
+            self.run = PathAccuracy(
+                when, along, across, None if np.isnan(self._begin) else ahead, angle
+            )
         else:
             self._rows = self._rows[-_KEPT_BEFORE:]
         errors = np.where(counted, error.perpendicular, np.nan)
@@ -255,7 +278,9 @@ class LineScene:
         along = self.run.along
         at = float(along[np.argmax(error)])
         beyond = error[along > _START_ZONE]
-        words += f"; {'largest of this run' if known else 'last run'} {self.run.worst * 1e3:.3f} mm, "
+        words += (
+            f"; {'largest of this run' if known else 'last run'} {self.run.worst * 1e3:.3f} mm, "
+        )
         words += f"{at * 1e3:.0f} mm from the start"
         if at <= _START_ZONE and len(beyond):
             words += f" (beyond {_START_ZONE * 1e3:.0f} mm: {beyond.max() * 1e3:.3f} mm)"

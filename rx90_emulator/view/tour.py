@@ -43,7 +43,10 @@ class Tour:
     def start(self) -> None:
         """Start the nodes; the arm stands straight up."""
         domain = os.environ.get("ROS_DOMAIN_ID", "0")
-        print(f"starting simulation and controller; in another terminal: export ROS_DOMAIN_ID={domain}", flush=True)
+        print(
+            f"starting simulation and controller; in another terminal: export ROS_DOMAIN_ID={domain}",
+            flush=True,
+        )
         self._cell = self._group.start("nodes", self._command)
 
     def follow(self, page: Page, view: LiveView, started: Callable[[], None]) -> None:
@@ -56,7 +59,9 @@ class Tour:
                 started()
 
         page.every(_TOUR_PERIOD, check)
-        self._thread = threading.Thread(target=self._send_again_and_again, args=[view], name="tour", daemon=True)
+        self._thread = threading.Thread(
+            target=self._send_again_and_again, args=[view], name="tour", daemon=True
+        )
         self._thread.start()
 
     def end(self) -> None:
@@ -76,7 +81,9 @@ class Tour:
             try:
                 with client_node("rx90_view_line", _TIMEOUT, lambda _: None) as client:
                     deliver(replace(client, check_interrupt=leave_at_the_end), *self._line)
-            except Rx90Error as error:  # torque off, somebody else's motion: the next time it may go
+            except (
+                Rx90Error
+            ) as error:  # torque off, somebody else's motion: the next time it may go
                 if str(error) != said and not self._ending.is_set():
                     said = str(error)
                     print(f"rx90 view: the line was not sent: {said}", flush=True)

@@ -27,7 +27,9 @@ PERIOD: Final = 16e-3
 """Of set-points, s, from one beat to the next."""
 _INPUTS: Final = frozenset(range(1001, 2001))
 _OUTPUTS: Final = frozenset([*range(1, 1001), *range(2001, 4001)])
-_ACCEPTED_INPUTS: Final = "inputs from 1001 to 2000, and times >= 0 at which each goes on, off and so on, s, increasing"
+_ACCEPTED_INPUTS: Final = (
+    "inputs from 1001 to 2000, and times >= 0 at which each goes on, off and so on, s, increasing"
+)
 
 
 class Change(NamedTuple):
@@ -52,8 +54,12 @@ def load_inputs(file: Path) -> list[Change]:
         except (TypeError, ValueError):
             times = np.array([np.nan])
         if signal not in _INPUTS or not (np.diff(times, prepend=-1e-9) > 0.0).all():
-            raise ConfigError(f"{plain(file)}: {quoted(signal)}: {quoted(value)}; accepted: {_ACCEPTED_INPUTS}")
-        changes += [Change(float(time), int(signal), turn % 2 == 0) for turn, time in enumerate(times)]
+            raise ConfigError(
+                f"{plain(file)}: {quoted(signal)}: {quoted(value)}; accepted: {_ACCEPTED_INPUTS}"
+            )
+        changes += [
+            Change(float(time), int(signal), turn % 2 == 0) for turn, time in enumerate(times)
+        ]
     return sorted(changes)
 
 
@@ -93,7 +99,9 @@ class Cell:
         beats: that have passed.
     """
 
-    def __init__(self, setup: Setup, drive: Drive, inputs: Iterable[Change] = (), period: float = PERIOD) -> None:
+    def __init__(
+        self, setup: Setup, drive: Drive, inputs: Iterable[Change] = (), period: float = PERIOD
+    ) -> None:
         self.arm = ProgrammedArm(setup)
         self.drive = drive
         self.queue = MotionQueue(self.arm, drive.start)
@@ -174,7 +182,9 @@ class Engine:
         record_fast: whether those on base ticks are, too.
     """
 
-    def __init__(self, setup: Setup, period: float = PERIOD, *, keep: bool = True, record_fast: bool = False) -> None:
+    def __init__(
+        self, setup: Setup, period: float = PERIOD, *, keep: bool = True, record_fast: bool = False
+    ) -> None:
         self.start = ProgrammedArm(setup).ready
         self._setup = setup
         self._keep = keep
@@ -202,10 +212,14 @@ class Engine:
         rates = self._setup.rates
         self._knots.append(np.concatenate([[time], position, velocity]))
         ends = np.array(self._knots[-2:])
-        rows = interpolate(ends[:, 0] - ends[0, 0], ends[:, 1:7], ends[:, 7:], None).sample(self._times)
+        rows = interpolate(ends[:, 0] - ends[0, 0], ends[:, 1:7], ends[:, 7:], None).sample(
+            self._times
+        )
         ahead = np.vstack([rows[1:, 1], velocity])
         rows[:, 2] = (ahead - rows[:, 1]) / rates.position_period  # as FollowedPath.leading
-        series = empty_series(self._ticks, rates.ratio, self._record_fast, arm=self._setup.drives.turning.size)
+        series = empty_series(
+            self._ticks, rates.ratio, self._record_fast, arm=self._setup.drives.turning.size
+        )
         run_setpoints(self._plant, self._law, np.ascontiguousarray(rows), self._ticks, *series)
         if self._keep:
             self._series.append(series)
@@ -215,9 +229,13 @@ class Engine:
     def result(self) -> RunResult:
         """Return the run so far, as that of one trajectory."""
         fast, slow = zip(*self._series, strict=True)
-        kept = FastSeries(*map(np.concatenate, zip(*fast, strict=True))) if self._record_fast else None
+        kept = (
+            FastSeries(*map(np.concatenate, zip(*fast, strict=True))) if self._record_fast else None
+        )
         series = SlowSeries(*map(np.concatenate, zip(*slow, strict=True)))
         knots = np.array(self._knots)
         points = TrajectoryPoints(knots[:, 0], knots[:, 1:7], knots[:, 7:], None)
         commands = (MotionCommand(0, points),)
-        return RunResult(self._setup, kept, series, self._law.saturated, commands, self._plant.substeps)
+        return RunResult(
+            self._setup, kept, series, self._law.saturated, commands, self._plant.substeps
+        )

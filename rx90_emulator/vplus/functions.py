@@ -21,7 +21,9 @@ _LARGEST_WIDTH: Final = 128
 _SAME: Final = 1e-3  # mm, and 1e-3 of a turn's matrix
 _FORMAT: Final = re.compile(r"([DEFGHIO])(\d{0,3})(?:\.(\d{1,2}))?$")
 _CODES: Final = {"H": "X", "I": "d", "O": "o"}
-_NUMBER: Final = re.compile(r"\s*(?:\^B([01]+)|\^O([0-7]+)|\^H([0-9A-F]+)|([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d\d?)?))")
+_NUMBER: Final = re.compile(
+    r"\s*(?:\^B([01]+)|\^O([0-7]+)|\^H([0-9A-F]+)|([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d\d?)?))"
+)
 _BASES: Final = (2, 8, 16)
 
 
@@ -45,7 +47,9 @@ def written(task: Task, items: Iterable[Value]) -> tuple[str, bool]:
         elif item.text == "S":
             ends = False
         elif item.text[0] in "XC":
-            text += {"X": " ", "C": "\n"}[item.text[0]] * min(int(item.text[1:] or 1), _LARGEST_WIDTH)
+            text += {"X": " ", "C": "\n"}[item.text[0]] * min(
+                int(item.text[1:] or 1), _LARGEST_WIDTH
+            )
         else:
             style = item.text
     return text, ends
@@ -299,7 +303,9 @@ _STATE: Final[dict[str, Any]] = {
     "DEFINED": lambda task, variable: task.cell_of(variable).value is not None,
     "LAST": _last,
     "SIG": lambda task, *signals: all(map(task.cell.is_on, signals)),
-    "BITS": lambda task, first, count=1: _bit_sum(task.cell.is_on(first + bit) for bit in range(min(count, 24))),
+    "BITS": lambda task, first, count=1: _bit_sum(
+        task.cell.is_on(first + bit) for bit in range(min(count, 24))
+    ),
     "TIMER": lambda task, number: task.cell.time - task.timers.get(number, 0.0),
     "SWITCH": lambda task, name: name in task.switches,
     "SPEED": _speed,
@@ -308,4 +314,6 @@ _STATE: Final[dict[str, Any]] = {
     "ERROR": lambda task, _: task.error,
     "IOSTAT": lambda *_: 1,
 }
-FUNCTIONS: Final = entries(_KINDS, _VALUES, of_task=False) | entries(_KINDS_OF_STATE, _STATE, of_task=True)
+FUNCTIONS: Final = entries(_KINDS, _VALUES, of_task=False) | entries(
+    _KINDS_OF_STATE, _STATE, of_task=True
+)

@@ -28,7 +28,12 @@ _CONFIGURATIONS: Final = {
     "FLIP": {"wrist": "negative"},
     "NOFLIP": {"wrist": "positive"},
 }
-_SWITCHED: Final = {"CPON": ("CP", 1.0), "CPOFF": ("CP", 0.0), "NULL": ("NULL", 1.0), "NONULL": ("NULL", 0.0)}
+_SWITCHED: Final = {
+    "CPON": ("CP", 1.0),
+    "CPOFF": ("CP", 0.0),
+    "NULL": ("NULL", 1.0),
+    "NONULL": ("NULL", 0.0),
+}
 _REFUSED: Final = """
 VPICTURE VLOCATE VFEATURE VSHOW VTRAIN VDISPLAY  vision is not emulated
 ALTER ALTON ALTOFF  ALTER needs a licensed option
@@ -43,7 +48,9 @@ DEVICE SETDEVICE DDCMP  no devices are emulated
 # Control.
 
 
-def _begin_for(task: Task, variable: Cell, first: float, limit: float, increment: float | None) -> None:
+def _begin_for(
+    task: Task, variable: Cell, first: float, limit: float, increment: float | None
+) -> None:
     loop = Loop(variable, limit, 1.0 if increment is None else increment)
     if loop.increment == 0.0:
         raise VplusError("Illegal value", "STEP 0")
@@ -54,7 +61,11 @@ def _begin_for(task: Task, variable: Cell, first: float, limit: float, increment
 def _end(task: Task) -> None:
     """Go back to the begin of a loop, or on."""
     loop = task.frame.loops.get(task.step.start)
-    task.jump(loop is None or loop.begin_turn(task.taken("real", loop.variable.value) + loop.increment))  # type: ignore
+    if loop is None:
+        task.jump()
+        return
+    count = task.taken("real", loop.variable.value)  # type: ignore
+    task.jump(loop.begin_turn(count + loop.increment))
 
 
 def _choose_case(task: Task, value: Value) -> None:
@@ -63,7 +74,9 @@ def _choose_case(task: Task, value: Value) -> None:
     for place in task.step.branches:
         step = task.frame.program.steps[place]
         offered = step.instruction.arguments if step.instruction is not None else ()
-        if step.word == "ANY" or value in [task.taken("folded", part) for part in offered if step.word == "VALUE"]:
+        if step.word == "ANY" or value in [
+            task.taken("folded", part) for part in offered if step.word == "VALUE"
+        ]:
             task.frame.place = place + 1
             return
 
@@ -83,7 +96,9 @@ def _pause(_: Task) -> None:
 
 def _assign(_: Task, value: Value, target: Cell) -> None:
     if not isinstance(value, float | str):
-        raise VplusError("Illegal assignment", f"{target.name} = a location; accepted: SET {target.name} = ...")
+        raise VplusError(
+            "Illegal assignment", f"{target.name} = a location; accepted: SET {target.name} = ..."
+        )
     target.store(value)
 
 
@@ -140,7 +155,9 @@ def _break(task: Task) -> Waits:
         latest = cell.time + _NULL_TIME
         yield from task.until(lambda: cell.settled or cell.time > latest, "small position errors")
         if not cell.settled:
-            raise VplusError("Time-out nulling errors", f"errors above {task.arm.full.null_tolerance:g} deg")
+            raise VplusError(
+                "Time-out nulling errors", f"errors above {task.arm.full.null_tolerance:g} deg"
+            )
 
 
 def _issue(task: Task, end: Array, **instead: float) -> Waits:
@@ -153,7 +170,9 @@ def _issue(task: Task, end: Array, **instead: float) -> Waits:
     if motion.kind in _STRAIGHT:
         postures = [task.arm.posture(q) for q in (motion.start, end)]
         if postures[0] != postures[1]:
-            raise VplusError("Straight-line motion can't alter configuration", " to ".join(map(str, postures)))
+            raise VplusError(
+                "Straight-line motion can't alter configuration", " to ".join(map(str, postures))
+            )
         start = task.arm.flange(motion.start) @ task.tool
         motion.line = Line(start, task.arm.flange(end) @ task.tool, task.tool, postures[0])
     plan(task.arm, motion, chosen, "SCALE.ACCEL" in task.switches)
@@ -202,13 +221,19 @@ def _drive(task: Task, joint: int, change: float, percent: float) -> Waits:
     """Move one joint by some degrees, at a percentage of its full speed."""
     if task.readings.drive_obeys_program_speed:
         percent *= {**task.always, **task.next}["SPEED"] / 100.0
-    return _issue(task, task.queue.destination + np.radians(change) * (np.arange(1, 7) == joint), SPEED=percent)
+    return _issue(
+        task,
+        task.queue.destination + np.radians(change) * (np.arange(1, 7) == joint),
+        SPEED=percent,
+    )
 
 
 def _move_joints(task: Task, *values: float | None) -> Waits:
     """Move to joint values; those that are left out stay."""
     joints = list(task.arm.joints(task.queue.destination))
-    joints[: len(values)] = [old if new is None else new for old, new in zip(joints, values, strict=False)]
+    joints[: len(values)] = [
+        old if new is None else new for old, new in zip(joints, values, strict=False)
+    ]
     return _issue(task, task.arm.angles(Joints(joints)))
 
 
@@ -290,7 +315,9 @@ def _wait(task: Task, condition: Tree = None) -> Waits:
 
 
 def _set_bits(task: Task, value: int, first: int, count: int = 1) -> None:
-    task.cell.switch(*(bit + first if value >> bit & 1 else -first - bit for bit in range(min(count, 24))))
+    task.cell.switch(
+        *(bit + first if value >> bit & 1 else -first - bit for bit in range(min(count, 24)))
+    )
 
 
 def _reset(task: Task) -> None:
@@ -321,7 +348,9 @@ def _lock(task: Task, priority: float) -> None:
 
 
 def _set_switches(task: Task, *names: str) -> None:
-    task.switches = task.switches | set(names) if task.line.word == "ENABLE" else task.switches - set(names)
+    task.switches = (
+        task.switches | set(names) if task.line.word == "ENABLE" else task.switches - set(names)
+    )
 
 
 def _set_parameter(task: Task, value: Value, name: str) -> None:
@@ -343,7 +372,9 @@ def _ask(task: Task, question: str, *targets: Cell) -> Waits:
     try:
         answer = task.cell.ask(question)
     except EOFError:
-        raise VplusError("Unexpected end of file", f"no line of input for {task.line.word}") from None
+        raise VplusError(
+            "Unexpected end of file", f"no line of input for {task.line.word}"
+        ) from None
     while answer is None:
         yield "a line of input"
         answer = task.cell.ask("")
@@ -478,5 +509,7 @@ _ACTIONS: Final[dict[str, Any]] = {
 }
 CONTROL: Final = entries(_KINDS_OF_CONTROL, _ACTIONS, of_task=True)
 INSTRUCTIONS: Final = CONTROL | entries(_KINDS, _ACTIONS, of_task=True)
-REFUSED: Final = {word: " ".join(entry.kinds) for word, entry in entries(_REFUSED, {}, of_task=True).items()}
+REFUSED: Final = {
+    word: " ".join(entry.kinds) for word, entry in entries(_REFUSED, {}, of_task=True).items()
+}
 """Instructions that are not there, and why."""

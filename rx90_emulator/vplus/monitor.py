@@ -40,7 +40,9 @@ Command: TypeAlias = Callable[["Monitor", str], "Dialogue | None"]
 _PLACES: Final = (np.ndarray, Joints)
 _COLUMNS: Final = "X/J1      Y/J2      Z/J3      y/J4      p/J5      r/J6"
 _FILE: Final = re.compile(r"[\w-]+(\.\w+)?", re.ASCII)
-_CALLED: Final = re.compile(r"(?:/C\s*)?(?:\d\s+)?([^,(]+(?:\(.*\))?)\s*(?:,\s*(-?\d+).*)?", re.IGNORECASE)
+_CALLED: Final = re.compile(
+    r"(?:/C\s*)?(?:\d\s+)?([^,(]+(?:\(.*\))?)\s*(?:,\s*(-?\d+).*)?", re.IGNORECASE
+)
 _LONGEST_LINE: Final = 1000
 _MOST_BYTES: Final = 4096
 _MOST_BEATS: Final = 20
@@ -188,7 +190,11 @@ class Monitor:
             if not names:
                 raise SyntaxError("Unknown command")
             command = COMMANDS[names[0]]
-            dialogue = _do(self, command.format(text)) if isinstance(command, str) else command(self, text.strip())
+            dialogue = (
+                _do(self, command.format(text))
+                if isinstance(command, str)
+                else command(self, text.strip())
+            )
             if dialogue is not None:
                 yield from dialogue
 
@@ -265,7 +271,8 @@ def _point(monitor: Monitor, text: str) -> Dialogue:
         typed = [*answer.split(","), *[""] * 6]
         try:
             numbers = [
-                float(new) if new.strip() else old for old, new in zip(_numbers(cell.value), typed, strict=False)
+                float(new) if new.strip() else old
+                for old, new in zip(_numbers(cell.value), typed, strict=False)
             ]
         except ValueError:
             raise VplusError("Illegal value", plain(answer)) from None
@@ -430,7 +437,10 @@ def _edit(monitor: Monitor, text: str) -> Dialogue:
 
 
 def _enable(monitor: Monitor, text: str) -> Dialogue:
-    name = next((name for name in ("POWER", "CP", "DRY.RUN") if text and name.startswith(text.upper())), text)
+    name = next(
+        (name for name in ("POWER", "CP", "DRY.RUN") if text and name.startswith(text.upper())),
+        text,
+    )
     yield from _do(monitor, f"ENABLE {name}")
     yield ""
 
@@ -460,7 +470,10 @@ COMMANDS: Final[dict[str, str | Command]] = {
     "ZERO": _zero,
     "SPEED": "SPEED {} MONITOR",
     "PANIC": "BRAKE",
-    **{word: f"{word} {{}}" for word in ("TOOL", "BASE", "SIGNAL", "RESET", "PARAMETER", "DISABLE", "TYPE")},
+    **{
+        word: f"{word} {{}}"
+        for word in ("TOOL", "BASE", "SIGNAL", "RESET", "PARAMETER", "DISABLE", "TYPE")
+    },
 }
 """Commands, of which the first fits that begins as what was typed; a text is an instruction."""
 
@@ -469,7 +482,13 @@ COMMANDS: Final[dict[str, str | Command]] = {
 
 
 def serve(
-    cell: Cell, folder: Path, announce: Callable[[str], None], port: int | None, baud: int | None, *, waits: bool
+    cell: Cell,
+    folder: Path,
+    announce: Callable[[str], None],
+    port: int | None,
+    baud: int | None,
+    *,
+    waits: bool,
 ) -> None:
     """Serve the monitor until an interrupt.
 
@@ -518,7 +537,9 @@ class _Way:
         self._clear += count * self._byte_time
 
 
-def _exchange(line: int, monitor: Monitor, output: bytearray, baud: int | None, waits: bool) -> None:
+def _exchange(
+    line: int, monitor: Monitor, output: bytearray, baud: int | None, waits: bool
+) -> None:
     """Exchange bytes with a terminal, and let the time of the cell pass with the wall clock, until it has gone."""
     cell = monitor.task.cell
     incoming = _Way(baud)

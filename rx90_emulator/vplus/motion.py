@@ -58,7 +58,9 @@ class ProgrammedArm:
             )
         self._solver = solver
         self.full = full
-        self.robot: RobotModel = load_robot(setup.files.urdf) if setup.files is not None else setup.robot
+        self.robot: RobotModel = (
+            load_robot(setup.files.urdf) if setup.files is not None else setup.robot
+        )
         self._world = np.array([0.0, 0.0, self.robot.chain.origin[:2, 2].sum()])  # m, in the base
         self.max_acceleration = setup.controller.max_acceleration
         self.ready = self.angles(Joints(full.ready))
@@ -106,7 +108,11 @@ class ProgrammedArm:
         missed = np.flatnonzero(np.isnan(rows).any(axis=1))
         if len(missed):
             distance = np.linalg.norm(flanges[missed[0], :3, 3]) / _MM
-            text = "Location too close" if distance < self._solver.reach / 2.0 else "Location out of range"
+            text = (
+                "Location too close"
+                if distance < self._solver.reach / 2.0
+                else "Location out of range"
+            )
             raise VplusError(text, f"{distance:.3f} m from the shoulder")
         for row in rows:
             if abs(np.sin(row[4])) < _SINGULAR and abs(row[4]) < 1.0:
@@ -160,7 +166,9 @@ class Profile:
     smooth: bool = False
 
     @classmethod
-    def fastest(cls, speed: float, up: float, down: float, smooth: bool, least: float = 0.0) -> Profile:
+    def fastest(
+        cls, speed: float, up: float, down: float, smooth: bool, least: float = 0.0
+    ) -> Profile:
         """Return the fastest profile with a speed, 1/s, and ramps, 1/s^2, that takes at least some time, s."""
         steeper = _OVERSHOOT if smooth else 1.0
         peak = min(speed, math.sqrt(2.0 / (steeper / up + steeper / down)))
@@ -292,7 +300,10 @@ def plan(arm: ProgrammedArm, motion: Motion, chosen: Mapping[str, float], scaled
     if not ways:
         return
     fastest = min(speed * percent / way for way, speed, _, percent in ways) / 100.0
-    steepest = min(rate * (percent if scaled else 100.0) / way for way, _, rate, percent in ways) / 10_000.0
+    steepest = (
+        min(rate * (percent if scaled else 100.0) / way for way, _, rate, percent in ways)
+        / 10_000.0
+    )
     up = steepest * chosen["UP"]
     down = steepest * chosen["DOWN"]
     motion.profile = Profile.fastest(fastest, up, down, chosen["SMOOTH"] != 0.0, chosen["DURATION"])
@@ -304,7 +315,9 @@ def _check_line(arm: ProgrammedArm, motion: Motion, line: Line) -> None:
     """Check a line before it runs, with longer ramps where joints could not accelerate as it asks."""
     count = int(np.clip(motion.profile.duration / _GRID, 16, _MOST_PLACES)) + 1
     times = np.linspace(0.0, motion.profile.duration, count)
-    angles = arm.solve(line.tools(motion.profile.share(times)) @ line.to_flange, line.posture, motion.start)
+    angles = arm.solve(
+        line.tools(motion.profile.share(times)) @ line.to_flange, line.posture, motion.start
+    )
     for row in angles:
         arm.check_range(row)
     speed = np.diff(angles, axis=0, prepend=motion.start[None]) / times[1]

@@ -16,8 +16,25 @@ from rx90_common.base.quoting import plain, quoted
 from rx90_emulator.vplus.functions import FUNCTIONS
 from rx90_emulator.vplus.instructions import INSTRUCTIONS, REFUSED
 from rx90_emulator.vplus.transformations import trans
-from rx90_emulator.vplus.tree import Function, Line, Memory, Program, Readings, Reference, Step, Tree
-from rx90_emulator.vplus.values import Format, Joints, LoadError, VplusError, bounded, element, plain_name
+from rx90_emulator.vplus.tree import (
+    Function,
+    Line,
+    Memory,
+    Program,
+    Readings,
+    Reference,
+    Step,
+    Tree,
+)
+from rx90_emulator.vplus.values import (
+    Format,
+    Joints,
+    LoadError,
+    VplusError,
+    bounded,
+    element,
+    plain_name,
+)
 
 SUFFIXES: Final = (".v2", ".pg", ".lc", ".rv", ".st")
 _LONGEST_LINE: Final = 255
@@ -152,7 +169,9 @@ def _parser(reading: str) -> Lark:
     grammar = Path(__file__).with_name("grammar.lark").read_text(encoding="utf-8")
     starts = ["step", "header", "datum"]
     grammar += f"\n?expression: {reading}\n"
-    return Lark(grammar, parser="lalr", start=starts, maybe_placeholders=True, transformer=_Builder())
+    return Lark(
+        grammar, parser="lalr", start=starts, maybe_placeholders=True, transformer=_Builder()
+    )
 
 
 def parse(text: str, start: str, logic_first: bool = True) -> Any:
@@ -167,7 +186,9 @@ def parse(text: str, start: str, logic_first: bool = True) -> Any:
         return _parser("logic_first" if logic_first else "relations_first").parse(text, start=start)
     except UnexpectedInput as error:
         left = "" if "$END" in str(error).partition("\n")[0] else text[error.column - 1 :][:20]
-        raise SyntaxError(f"{left!r} is not expected" if left.strip() else "the line ends too early") from None
+        raise SyntaxError(
+            f"{left!r} is not expected" if left.strip() else "the line ends too early"
+        ) from None
     except (LarkError, VplusError) as error:
         raise SyntaxError(str(error)) from None
 
@@ -200,7 +221,9 @@ def load_programs(place: Path | str, readings: Readings | None = None) -> Memory
     for file in _files(Path(place)):
         try:
             if file.stat().st_size > _LARGEST_FILE:
-                raise ConfigError(f"{plain(file)}: more than {_LARGEST_FILE:,} bytes; accepted: a file of V+")
+                raise ConfigError(
+                    f"{plain(file)}: more than {_LARGEST_FILE:,} bytes; accepted: a file of V+"
+                )
             reader = read(file.read_text(encoding="latin-1"), memory)
         except OSError as error:
             raise ConfigError(f"{plain(file)}: {error.strerror}; accepted: a file of V+") from error
@@ -321,7 +344,9 @@ class Reader:
             self._declare(program, instruction)
         if parse(code, "step", not logic_first) != (label, instruction):
             reading = "read by logic_before_relations (docs/reference/vplus.md)"
-            self.warnings.append((self.line, f"a comparison beside AND, OR or XOR without brackets; {reading}"))
+            self.warnings.append(
+                (self.line, f"a comparison beside AND, OR or XOR without brackets; {reading}")
+            )
 
     def _declare(self, program: Program, line: Line) -> None:
         if any(step.word not in ("", *_DECLARATIONS) for step in program.steps):
@@ -388,7 +413,9 @@ def _call_faults(memory: Memory) -> Iterator[str]:
     """Yield the faults of calls with more arguments than the program has."""
     for program in memory.programs.values():
         for step in program.steps:
-            name, *given = step.instruction.arguments if step.instruction and step.word == "CALL" else ("",)
+            name, *given = (
+                step.instruction.arguments if step.instruction and step.word == "CALL" else ("",)
+            )
             called = memory.programs.get(str(name))
             if called is not None and len(given) > len(called.parameters):
                 accepted = f"accepted: up to {len(called.parameters)}"

@@ -91,10 +91,18 @@ class ProgramRun:
             rows = slice(round(motion.began / period), round(end / period))
             times = result.times[rows]
             robot = self.cell.arm.with_tool(motion.tool)
-            angles = [series[rows, 0] for series in (result.slow.reference, result.slow.joint_states)]
+            angles = [
+                series[rows, 0] for series in (result.slow.reference, result.slow.joint_states)
+            ]
             accuracy = followed_accuracy(robot, times, angles[1], times, angles[0])
             motion.error = 1e3 * accuracy.worst if len(accuracy.times) else math.nan
-            self.tracks.append(Track(times, tip_position(robot.chain, angles[0]), tip_position(robot.chain, angles[1])))
+            self.tracks.append(
+                Track(
+                    times,
+                    tip_position(robot.chain, angles[0]),
+                    tip_position(robot.chain, angles[1]),
+                )
+            )
 
 
 def run_program(
@@ -132,7 +140,9 @@ def run_program(
     return run
 
 
-def run_in(cell: Cell, memory: Memory, name: str, arguments: Sequence[str], options: Options) -> ProgramRun:
+def run_in(
+    cell: Cell, memory: Memory, name: str, arguments: Sequence[str], options: Options
+) -> ProgramRun:
     """Run a program in a cell; as `run_program`, without the series."""
     run = ProgramRun(cell)
     show = cell.show
@@ -176,11 +186,19 @@ def _execute(task: Task, options: Options) -> None:
         for what in task.run():
             if not cell.queue.at_end:
                 moved = cell.time
-            where = f"stopped in {task.frame.program.name}, line {task.step.line}" if task.frames else "stopped"
+            where = (
+                f"stopped in {task.frame.program.name}, line {task.step.line}"
+                if task.frames
+                else "stopped"
+            )
             if cell.time - moved >= options.idle:
-                raise VplusError("Time-out", f"no motion for {options.idle:g} s, waiting for {what}; {where}")
+                raise VplusError(
+                    "Time-out", f"no motion for {options.idle:g} s, waiting for {what}; {where}"
+                )
             if cell.time >= options.longest:
-                raise VplusError("Time-out", f"the run takes more than {options.longest:g} s; {where}")
+                raise VplusError(
+                    "Time-out", f"the run takes more than {options.longest:g} s; {where}"
+                )
             _beat(cell)
     except VplusError:
         while not cell.queue.at_end and cell.time < options.longest:  # the motion under way ends
@@ -201,12 +219,19 @@ def _beat(cell: Cell) -> None:
 
 def table_text(run: ProgramRun) -> str:
     """Return the table of motions as text."""
-    lines = [f"{'line':<20} motion    begin s    end s  taken s  alone s  error mm  joints, degrees"]
+    lines = [
+        f"{'line':<20} motion    begin s    end s  taken s  alone s  error mm  joints, degrees"
+    ]
     for motion in run.motions:
         times = [motion.began, motion.ended, motion.ended - motion.began, motion.profile.duration]
         shown = " ".join(f"{time:8.3f}" for time in times)
-        ends = [" ".join(f"{joint:.1f}" for joint in run.cell.arm.joints(q)) for q in (motion.start, motion.end)]
-        lines.append(f"{motion.where:<20} {motion.kind:<8} {shown} {motion.error:9.4f}  {' -> '.join(ends)}")
+        ends = [
+            " ".join(f"{joint:.1f}" for joint in run.cell.arm.joints(q))
+            for q in (motion.start, motion.end)
+        ]
+        lines.append(
+            f"{motion.where:<20} {motion.kind:<8} {shown} {motion.error:9.4f}  {' -> '.join(ends)}"
+        )
     return "\n".join(lines)
 
 
@@ -222,7 +247,9 @@ def page(run: ProgramRun, name: str) -> str:
         rates = np.linalg.norm(np.diff(asked, axis=0), axis=1) / np.diff(times)
         speed.line(times[1:], 1e3 * rates, color=COLOURS[0])
         distance.line(times, 1e3 * np.linalg.norm(measured - asked, axis=1), color=COLOURS[1])
-    return render_page(__package__ or "", "program.html.j2", run=run, name=name, plots=[speed, distance])
+    return render_page(
+        __package__ or "", "program.html.j2", run=run, name=name, plots=[speed, distance]
+    )
 
 
 def draw(run: ProgramRun, file: Path) -> None:
@@ -235,5 +262,7 @@ def draw(run: ProgramRun, file: Path) -> None:
             for _, *places in run.tracks:
                 for place, colour, style in zip(places, COLOURS, "-:", strict=False):
                     panel.plot(1e3 * place[:, 0], 1e3 * place[:, up], color=colour, linestyle=style)
-            panel.set(xlabel="x, mm", ylabel=f"{'xyz'[up]}, mm", title="set-points solid, measured dotted")
+            panel.set(
+                xlabel="x, mm", ylabel=f"{'xyz'[up]}, mm", title="set-points solid, measured dotted"
+            )
             panel.set_aspect("equal", adjustable="datalim")

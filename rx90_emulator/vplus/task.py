@@ -46,7 +46,14 @@ _TYPES: Final[dict[str, Any]] = {
 }
 """Types of the values that kinds of arguments stand for; all others are reals."""
 _RANGES: Final = {"percent": (0.001, 1000.0), "seconds": (0.0, 86_400.0), "joint": (1.0, 6.0)}
-OF_EXECUTE: Final = {"SPEED": 100.0, "ROTARY": 100.0, "DURATION": 0.0, "CP": 1.0, "NULL": 1.0, "FINE": 100.0}
+OF_EXECUTE: Final = {
+    "SPEED": 100.0,
+    "ROTARY": 100.0,
+    "DURATION": 0.0,
+    "CP": 1.0,
+    "NULL": 1.0,
+    "FINE": 100.0,
+}
 """What EXECUTE sets for all motions."""
 
 
@@ -185,10 +192,16 @@ class Task:
         if len(arguments) > len(program.parameters):
             raise VplusError("Illegal value", f"{len(arguments)} arguments of {name}")
         if len(self.frames) >= _DEEPEST:
-            raise VplusError("Not enough program stack space", f"{_DEEPEST} calls within each other")
+            raise VplusError(
+                "Not enough program stack space", f"{_DEEPEST} calls within each other"
+            )
         scope: Scope = {}
         for parameter, argument in zip(program.parameters, arguments, strict=False):
-            if isinstance(argument, Reference) and argument.index and not any(map(_is_given, argument.index)):
+            if (
+                isinstance(argument, Reference)
+                and argument.index
+                and not any(map(_is_given, argument.index))
+            ):
                 scope[parameter] = self.table(argument)
             elif isinstance(argument, Reference):
                 scope[parameter] = {(): self.cell_of(argument)}
@@ -330,12 +343,17 @@ class Task:
             text = "Arithmetic overflow"
         except (ValueError, TypeError):
             text = "Illegal value"
-        raise VplusError(text, f"{tree.name} of {', '.join(str(value) for value in values if np.isscalar(value))}")
+        raise VplusError(
+            text,
+            f"{tree.name} of {', '.join(str(value) for value in values if np.isscalar(value))}",
+        )
 
     def values(self, kinds: list[str], arguments: tuple[Tree, ...]) -> list[Any]:
         """Return what an action gets for arguments; the last kind may come any number of times."""
         repeated = [*kinds, *kinds[-1:] * len(arguments)]
-        return [self.taken(kind, argument) for kind, argument in zip(repeated, arguments, strict=False)]
+        return [
+            self.taken(kind, argument) for kind, argument in zip(repeated, arguments, strict=False)
+        ]
 
     def taken(self, kind: str, argument: Tree) -> Any:
         """Return what an action gets for an argument: the value of a kind.

@@ -57,10 +57,14 @@ class Entry:
         least = sum(kind[-1] not in "?*" for kind in self.kinds)
         has_more = "*" in "".join(self.kinds)
         if given < least or (given > len(self.kinds) and not has_more):
-            raise SyntaxError(f"{word} has {given} arguments; accepted: {' '.join(self.kinds) or 'none'}")
+            raise SyntaxError(
+                f"{word} has {given} arguments; accepted: {' '.join(self.kinds) or 'none'}"
+            )
 
 
-def entries(kinds: str, actions: dict[str, Callable[..., Any]], *, of_task: bool) -> dict[str, Entry]:
+def entries(
+    kinds: str, actions: dict[str, Callable[..., Any]], *, of_task: bool
+) -> dict[str, Entry]:
     """Return a table of instructions or functions.
 
     Args:

@@ -95,7 +95,13 @@ class Format:
 
 
 Value: TypeAlias = float | str | Joints | Array | Format
-KINDS: Final = {float: "real", str: "string", Joints: "precision point", np.ndarray: "transformation", Format: "format"}
+KINDS: Final = {
+    float: "real",
+    str: "string",
+    Joints: "precision point",
+    np.ndarray: "transformation",
+    Format: "format",
+}
 """What values are, in words."""
 
 
@@ -134,7 +140,9 @@ class Cell:
             wanted = KINDS[type(self.value)]
         kind = KINDS[type(value)]
         if kind not in wanted:
-            raise VplusError("Illegal assignment", f"{self.name} is a {wanted}, and the value a {kind}")
+            raise VplusError(
+                "Illegal assignment", f"{self.name} is a {wanted}, and the value a {kind}"
+            )
         self.value = value
 
 

@@ -26,7 +26,9 @@ MAX_AGE = 3
 """Ticks from the states that a command answers to the last that it is applied in: docs/explanation/free_running.md."""
 _LINES = 4  # about the brakes in _LINES_WINDOW; more changes are counted
 _LINES_WINDOW = 10.0  # s
-_OUT_OF_ORDER_COUNT = 3  # commands that are not newer than the one before, within _WINDOW, that make two controllers
+_OUT_OF_ORDER_COUNT = (
+    3  # commands that are not newer than the one before, within _WINDOW, that make two controllers
+)
 _WINDOW = 5.0  # s
 _ELSEWHERE = 3  # stamps in a row that make another clock; commands from before a reset are fewer
 _SLICE = 0.05  # s of a wait after which interruptions are looked at
@@ -83,7 +85,10 @@ class HeldCommand:
 
     def wait_for(self, timeout: float) -> None:
         """Wait so long for a command, s, from the next tick on; callable from every thread."""
-        self._timeout, self._oldest = timeout, max(MAX_AGE, round(timeout * NANOSECONDS / self._period_ns))
+        self._timeout, self._oldest = (
+            timeout,
+            max(MAX_AGE, round(timeout * NANOSECONDS / self._period_ns)),
+        )
         self._most_age = MAX_AGE
 
     def forget(self) -> None:
@@ -171,7 +176,9 @@ class HeldCommand:
         """A controller answers each tick once and in order, but for the moment in which it begins again."""
         now = time.monotonic()
         self._out_of_order.append(now)
-        often = len(self._out_of_order) == _OUT_OF_ORDER_COUNT and now - self._out_of_order[0] < _WINDOW
+        often = (
+            len(self._out_of_order) == _OUT_OF_ORDER_COUNT and now - self._out_of_order[0] < _WINDOW
+        )
         if often and not self.two_controllers and self._channel.matches().publishers > 1:
             self.two_controllers = True
             self._announce(f"two controllers publish on {self._topic}: no torque until one is left")
@@ -195,7 +202,9 @@ class HeldCommand:
             text = f"waiting for a controller on {self._topic}: the brakes hold the arm"
         else:
             text = f"no command on {self._topic} for {self._timeout:g} s: torque off, brakes closed"
-        self._announce(text + (f" (after {changes - 1} changes without a line)" if changes > 1 else ""))
+        self._announce(
+            text + (f" (after {changes - 1} changes without a line)" if changes > 1 else "")
+        )
 
 
 class NewestCommand(HeldCommand):
@@ -225,7 +234,9 @@ class NewestCommand(HeldCommand):
         answered = stamp // self._period_ns
         if stamp >= 0 and 0 <= tick - answered <= self._oldest:
             self._elsewhere = 0
-            if stamp < self._stamp:  # the same again is usual where /clock is slower than the commands
+            if (
+                stamp < self._stamp
+            ):  # the same again is usual where /clock is slower than the commands
                 self._note_out_of_order()
                 return None
             self._stamp = stamp
@@ -242,7 +253,9 @@ class NewestCommand(HeldCommand):
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 _LOOK = 1.0  # s between two looks at the graph
-_CROWDED_LOOKS = 25  # at two controllers in a row: a user's process that was killed stays in the graph for 20 s
+_CROWDED_LOOKS = (
+    25  # at two controllers in a row: a user's process that was killed stays in the graph for 20 s
+)
 
 
 class JointCommands:
@@ -255,7 +268,9 @@ class JointCommands:
         once: reports, once, that there are no efforts.
     """
 
-    def __init__(self, joints: JointInterface, names: tuple[str, ...], topic: str, once: OnceLog) -> None:
+    def __init__(
+        self, joints: JointInterface, names: tuple[str, ...], topic: str, once: OnceLog
+    ) -> None:
         self._joints = joints
         self._codec = JointStateCodec(names)
         self._topic = topic
@@ -272,9 +287,13 @@ class JointCommands:
         if effort is not None:
             return self._joints.motor_torques(effort)
         if position is not None or velocity is not None:
-            given = " and ".join(n for n, v in (("position", position), ("velocity", velocity)) if v is not None)
+            given = " and ".join(
+                n for n, v in (("position", position), ("velocity", velocity)) if v is not None
+            )
             raise ExchangeError(f"{given} without effort; accepted: {self._accepted}")
-        self._once.say(f"{self._topic}: effort is empty: no torque, brakes closed; for torque: {self._accepted}")
+        self._once.say(
+            f"{self._topic}: effort is empty: no torque, brakes closed; for torque: {self._accepted}"
+        )
         return None
 
 
@@ -291,7 +310,9 @@ class CommandWatch:
         self._node = node
         self._once = once
         self._interface = interface
-        self._states, self._commands = (str(node.resolve_topic_name(one)) for one in COMMAND_INTERFACES[interface])
+        self._states, self._commands = (
+            str(node.resolve_topic_name(one)) for one in COMMAND_INTERFACES[interface]
+        )
         self._others = {
             other: str(node.resolve_topic_name(commands))
             for other, (_, commands) in COMMAND_INTERFACES.items()
@@ -311,14 +332,21 @@ class CommandWatch:
             if info.topic_type != _JOINT_STATE:
                 self._say(info, f"publishes {info.topic_type}; accepted: {_JOINT_STATE}")
             elif info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT:
-                self._say(info, "publishes best effort, which is not heard; accepted: reliable, such as QoS depth 1")
+                self._say(
+                    info,
+                    "publishes best effort, which is not heard; accepted: reliable, such as QoS depth 1",
+                )
         self._crowded = self._crowded + 1 if len(found) > 1 else 0
         if self._crowded == _CROWDED_LOOKS:
             names = ", ".join(sorted(info.node_name for info in found))
-            self._once.say(f"{self._commands}: {len(found)} publishers, {names}; accepted: one controller")
+            self._once.say(
+                f"{self._commands}: {len(found)} publishers, {names}; accepted: one controller"
+            )
         for info in self._named(self._node.get_subscriptions_info_by_topic(self._states)):
             requested = QoSProfile(
-                depth=1, reliability=info.qos_profile.reliability, durability=info.qos_profile.durability
+                depth=1,
+                reliability=info.qos_profile.reliability,
+                durability=info.qos_profile.durability,
             )
             compatible, reason = qos_check_compatible(TICK_QOS, requested)
             if compatible == QoSCompatibility.ERROR:

@@ -26,39 +26,69 @@ FILE_PARAMETERS = ("urdf", "tool", "drives", "friction")
 class SimulationParameters(RobotParameters):
     """The node's parameters."""
 
-    tool: Annotated[str, Field(description=f"{DESCRIPTIONS['tool'].capitalize()}; the robot's if empty.")] = ""
-    friction: Annotated[str, Field(description=f"{DESCRIPTIONS['friction'].capitalize()}; the robot's if empty.")] = ""
-    step_ticks: Annotated[int, Field(ge=1, le=100_000_000, description="Ticks of one call of ~/step.")] = 1
-    joint_state_rate: Annotated[int, quantity("Hz", "Rate of joint_states and friction_states.", ge=1, le=20000)] = 1000
+    tool: Annotated[
+        str, Field(description=f"{DESCRIPTIONS['tool'].capitalize()}; the robot's if empty.")
+    ] = ""
+    friction: Annotated[
+        str, Field(description=f"{DESCRIPTIONS['friction'].capitalize()}; the robot's if empty.")
+    ] = ""
+    step_ticks: Annotated[
+        int, Field(ge=1, le=100_000_000, description="Ticks of one call of ~/step.")
+    ] = 1
+    joint_state_rate: Annotated[
+        int, quantity("Hz", "Rate of joint_states and friction_states.", ge=1, le=20000)
+    ] = 1000
     clock_rate: Annotated[int, quantity("Hz", "Rate of /clock.", ge=1, le=20000)] = 50
     tf_rate: Annotated[
         int,
         quantity(
-            "Hz", "Rate of /tf; 0: neither /tf nor /tf_static, for robot_state_publisher has them.", ge=0, le=20000
+            "Hz",
+            "Rate of /tf; 0: neither /tf nor /tf_static, for robot_state_publisher has them.",
+            ge=0,
+            le=20000,
         ),
     ] = 0
     time_mode: Annotated[
         Literal["lock_step", "free_running"],
-        Field(description="lock_step: wait for the controller in every tick; free_running: wall clock."),
+        Field(
+            description="lock_step: wait for the controller in every tick; free_running: wall clock."
+        ),
     ] = "lock_step"
     real_time_factor: Annotated[
         float, quantity("1", "Pace in lock_step, 0 for as fast as it goes.", ge=0.0, le=1000.0)
     ] = 1.0
     command_timeout: Annotated[
         float,
-        quantity("s", "free_running: wait for a late motor command before the brakes close.", ge=0.0, le=10.0),
+        quantity(
+            "s",
+            "free_running: wait for a late motor command before the brakes close.",
+            ge=0.0,
+            le=10.0,
+        ),
     ] = 0.5
     command_interface: Annotated[
         Literal["motor", "joint"],
-        Field(description="motor: motor_commands answer motor_states; joint: joint_commands, efforts, drive the arm."),
+        Field(
+            description="motor: motor_commands answer motor_states; joint: joint_commands, efforts, drive the arm."
+        ),
     ] = "motor"
     command_rate: Annotated[
         int,
-        quantity("Hz", "Rate of joint_commands, which are held in between; 0: position_rate.", ge=0, le=20000),
+        quantity(
+            "Hz",
+            "Rate of joint_commands, which are held in between; 0: position_rate.",
+            ge=0,
+            le=20000,
+        ),
     ] = 0
     command_age_limit: Annotated[
         float,
-        quantity("s", "free_running: age of the newest joint command at which the brakes close.", ge=0.001, le=10.0),
+        quantity(
+            "s",
+            "free_running: age of the newest joint command at which the brakes close.",
+            ge=0.001,
+            le=10.0,
+        ),
     ] = 0.1
     initial_position: Annotated[
         RowOf[float],
@@ -68,9 +98,9 @@ class SimulationParameters(RobotParameters):
             "joint's range that is nearest to it.",
         ),
     ] = (0.0,)
-    duration: Annotated[float, quantity("s", "Simulated time after which the node ends; 0: never.", ge=0.0, le=1e9)] = (
-        0.0
-    )
+    duration: Annotated[
+        float, quantity("s", "Simulated time after which the node ends; 0: never.", ge=0.0, le=1e9)
+    ] = 0.0
     paused: Annotated[bool, Field(description="Begin with time standing still.")] = False
     substeps: Annotated[
         int,
@@ -94,7 +124,8 @@ class SimulationParameters(RobotParameters):
     def _check_commands(self) -> SimulationParameters:
         if self.command_interface == MOTOR_INTERFACE and self.command_rate:
             accepted = (
-                f"0 with command_interface motor, whose rate is base_rate, or command_interface {JOINT_INTERFACE}"
+                "0 with command_interface motor, whose rate is base_rate, "
+                f"or command_interface {JOINT_INTERFACE}"
             )
             raise refusal("command_rate", self.command_rate, accepted)
         with as_refusal():
@@ -121,7 +152,11 @@ class SimulationParameters(RobotParameters):
     def check_age_limit(self, limit: float) -> float:
         """Return an age limit of joint commands, s, that leaves time to answer."""
         least = 2.0 / self.command_hz
-        if self.command_interface == JOINT_INTERFACE and self.time_mode == FREE_RUNNING and limit < least:
+        if (
+            self.command_interface == JOINT_INTERFACE
+            and self.time_mode == FREE_RUNNING
+            and limit < least
+        ):
             raise ConfigError(
                 f"command_age_limit is {limit:g} s; accepted: at least two periods of the commands, {least:g} s"
             )

@@ -26,7 +26,9 @@ from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.plant import Plant
 
 _SAMPLED_PERIOD = 1.0 / SAMPLED_RATE
-_DISPLAY_PERIOD = 1.0 / 30.0  # s of wall time from one sample to the next in a run faster than MAX_DISPLAY_RTF
+_DISPLAY_PERIOD = (
+    1.0 / 30.0
+)  # s of wall time from one sample to the next in a run faster than MAX_DISPLAY_RTF
 
 
 class SampledStates:
@@ -49,13 +51,17 @@ class SampledStates:
         self._period_ns = rates.period_ns
         self._ticks = max(1, rates.base_hz // SAMPLED_RATE)
         self._encode_joints = JointStateCodec(plant.joint_names).encoder(*plant.joint_states())
-        self._encode_friction = JointStateCodec(plant.friction_names).encoder(*plant.friction_states())
+        self._encode_friction = JointStateCodec(plant.friction_names).encoder(
+            *plant.friction_states()
+        )
         self.publishers: tuple[Publisher, Publisher] = (
             node.create_publisher(JointState, f"{SAMPLED}/joint_states", CLOCK_QOS),
             node.create_publisher(JointState, f"{SAMPLED}/friction_states", CLOCK_QOS),
         )
         self._samples: tuple[bytes, ...] = ()
-        self._due = self._published = 0.0  # s of the steady clock: when the next is due, and when the last one was
+        self._due = self._published = (
+            0.0  # s of the steady clock: when the next is due, and when the last one was
+        )
         self._since = 0  # samples since the last one that was published
 
     def publish_due(self, tick: int) -> None:
@@ -67,8 +73,12 @@ class SampledStates:
             self._samples = (self._encode_joints(stamp), self._encode_friction(stamp))
             self._since += 1
             now = time.monotonic()
-            if now >= self._due - 0.5 * _SAMPLED_PERIOD:  # in real time some ticks come a little early
-                fast = self._since > 1 and self._since * _SAMPLED_PERIOD > MAX_DISPLAY_RTF * (now - self._published)
+            if (
+                now >= self._due - 0.5 * _SAMPLED_PERIOD
+            ):  # in real time some ticks come a little early
+                fast = self._since > 1 and self._since * _SAMPLED_PERIOD > MAX_DISPLAY_RTF * (
+                    now - self._published
+                )
                 self._due = max(self._due, now) + (_DISPLAY_PERIOD if fast else _SAMPLED_PERIOD)
                 self._published = now
                 self._since = 0
@@ -94,13 +104,19 @@ class Transforms:
         publisher: of /tf.
     """
 
-    def __init__(self, node: Node, robot: RobotModel, plant: Plant, parameters: SimulationParameters) -> None:
+    def __init__(
+        self, node: Node, robot: RobotModel, plant: Plant, parameters: SimulationParameters
+    ) -> None:
         self._ticks = ticks_per("tf_rate", parameters.rates.base_hz, parameters.tf_rate)
         try:
-            from tf2_msgs.msg import TFMessage  # only on request: the pip environment may be without
+            from tf2_msgs.msg import (
+                TFMessage,
+            )  # only on request: the pip environment may be without
         except ImportError as error:
             missing = missing_module(error) or error
-            raise ConfigError(f"parameter tf_rate is {parameters.tf_rate}: {missing}; or 0") from error
+            raise ConfigError(
+                f"parameter tf_rate is {parameters.tf_rate}: {missing}; or 0"
+            ) from error
         self._moving, fixed = link_transforms(robot)
         self._position = plant.joint_states()[0]
         self._codec = TransformCodec(self._moving.links, self._moving.translation)
@@ -135,18 +151,28 @@ class Publications:
         publishers: of all topics but /tf_static.
     """
 
-    def __init__(self, node: Node, robot: RobotModel, plant: Plant, parameters: SimulationParameters) -> None:
+    def __init__(
+        self, node: Node, robot: RobotModel, plant: Plant, parameters: SimulationParameters
+    ) -> None:
         rates = parameters.rates
         self._plant = plant
         self._period_ns = rates.period_ns
-        self._transforms = Transforms(node, robot, plant, parameters) if parameters.tf_rate else None
-        self._state_ticks = ticks_per("joint_state_rate", rates.base_hz, parameters.joint_state_rate)
+        self._transforms = (
+            Transforms(node, robot, plant, parameters) if parameters.tf_rate else None
+        )
+        self._state_ticks = ticks_per(
+            "joint_state_rate", rates.base_hz, parameters.joint_state_rate
+        )
         self._clock_ticks = ticks_per("clock_rate", rates.base_hz, parameters.clock_rate)
         self._encode_joints = JointStateCodec(plant.joint_names).encoder(*plant.joint_states())
-        self._encode_friction = JointStateCodec(plant.friction_names).encoder(*plant.friction_states())
+        self._encode_friction = JointStateCodec(plant.friction_names).encoder(
+            *plant.friction_states()
+        )
         self._joints = publish(node, JointState, "joint_states", STATE_QOS)
         self._friction = publish(node, JointState, "friction_states", STATE_QOS)
-        self._joint_sample = self._friction_sample = b""  # the newest, as it was sent; empty: not sent
+        self._joint_sample = self._friction_sample = (
+            b""  # the newest, as it was sent; empty: not sent
+        )
         self._sampled = SampledStates(node, plant, rates)
         self._time = Clock()
         self._clock = publish(node, Clock, "/clock", CLOCK_QOS)

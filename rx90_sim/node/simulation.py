@@ -61,7 +61,11 @@ class Simulation:
         self._also_listening: Callable[[], Sequence[Publisher]] = tuple
         self.node.parameters.declare(SimulationParameters.of(self.node.parameters.values))
 
-    def lead(self, follow: Callable[[TimeMode | None], None], publishers: Callable[[], Sequence[Publisher]]) -> None:
+    def lead(
+        self,
+        follow: Callable[[TimeMode | None], None],
+        publishers: Callable[[], Sequence[Publisher]],
+    ) -> None:
         """Let a controller in this process follow the time mode.
 
         Args:
@@ -81,7 +85,11 @@ class Simulation:
         arm.ticks.listeners.others = self._also_listening
         self._allow("real_time_factor", arm.check_pace, arm.ticks.pacer.change)
         joint = parameters.command_interface == JOINT_INTERFACE
-        self._allow("command_age_limit", parameters.check_age_limit, arm.ticks.held.wait_for if joint else _ignore)
+        self._allow(
+            "command_age_limit",
+            parameters.check_age_limit,
+            arm.ticks.held.wait_for if joint else _ignore,
+        )
         self._allow("command_timeout", float, _ignore if joint else arm.ticks.held.wait_for)
         self._allow("step_ticks", int, _ignore)  # looked at by each call
         self.node.changes.publish_constants(SEED)
@@ -138,7 +146,9 @@ class SimulatedArm:
         time_mode: the time mode.
     """
 
-    def __init__(self, node: ManagedNode, files: RobotFiles, parameters: SimulationParameters) -> None:
+    def __init__(
+        self, node: ManagedNode, files: RobotFiles, parameters: SimulationParameters
+    ) -> None:
         self._node = node
         self._parameters = parameters
         robot, self._plant = _build_plant(node, files, parameters)
@@ -167,7 +177,9 @@ class SimulatedArm:
         states, commands = COMMAND_INTERFACES[parameters.command_interface]
         text += f", states on {node.resolve_topic_name(states)}"
         if parameters.command_interface == JOINT_INTERFACE:
-            text += f", efforts on {node.resolve_topic_name(commands)} at {parameters.command_hz} Hz"
+            text += (
+                f", efforts on {node.resolve_topic_name(commands)} at {parameters.command_hz} Hz"
+            )
         if self.ticks.control.paused:
             text += f"; paused until {node.resolve_service_name('~/pause')} is called with false"
         node.get_logger().info(text)
@@ -181,7 +193,9 @@ class SimulatedArm:
     def check_pace(self, factor: float) -> float:
         """Return a real-time factor that time can be paced to."""
         if self._parameters.time_mode != LOCK_STEP:
-            raise ConfigError(f"real_time_factor: time_mode is {self._parameters.time_mode}; accepted: in {LOCK_STEP}")
+            raise ConfigError(
+                f"real_time_factor: time_mode is {self._parameters.time_mode}; accepted: in {LOCK_STEP}"
+            )
         return check_factor(factor)
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -200,7 +214,9 @@ class SimulatedArm:
             response.message = "the node is inactive; accepted: in state active"
             return response
         ticks: int = self._node.get_parameter("step_ticks").value
-        return self._answer(response, self.ticks.control.step(ticks, _REQUEST_TIMEOUT), counted(ticks, "tick"))
+        return self._answer(
+            response, self.ticks.control.step(ticks, _REQUEST_TIMEOUT), counted(ticks, "tick")
+        )
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return self._answer(response, self.ticks.control.reset(_REQUEST_TIMEOUT), "reset")
@@ -208,7 +224,9 @@ class SimulatedArm:
     def _answer(self, response: Trigger.Response, done: bool, what: str) -> Trigger.Response:
         response.success = done
         at = f"at {self.ticks.time:.6g} s"
-        response.message = f"{what} done, {at}" if done else f"{what} not done within {_REQUEST_TIMEOUT:g} s, {at}"
+        response.message = (
+            f"{what} done, {at}" if done else f"{what} not done within {_REQUEST_TIMEOUT:g} s, {at}"
+        )
         return response
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
@@ -231,10 +249,15 @@ class SimulatedArm:
             "plant steps in a tick": str(plant.substeps),
             "saturated ticks": " ".join(str(n) for n in plant.saturated),
         }
-        texts = warm_motors(plant.constants, plant.winding_temperatures()), plant.temperatures.beyond_law()
+        texts = (
+            warm_motors(plant.constants, plant.winding_temperatures()),
+            plant.temperatures.beyond_law(),
+        )
         warm = "; ".join(text for text in texts if text)
         if plant.temperatures.elements:
-            values["joints, °C"] = " ".join(f"{plant.temperatures.now[i]:.1f}" for i in plant.temperatures.elements)
+            values["joints, °C"] = " ".join(
+                f"{plant.temperatures.now[i]:.1f}" for i in plant.temperatures.elements
+            )
         if plant.constants["winding"]["used"][0]:
             values["windings, °C"] = " ".join(f"{one:.1f}" for one in plant.winding_temperatures())
         if warm and not self._warm:
@@ -259,7 +282,9 @@ def spin(args: Sequence[str]) -> None:
     spin_nodes(lambda: started([Simulation()]), args)
 
 
-def _build_plant(node: Node, files: RobotFiles, parameters: SimulationParameters) -> tuple[RobotModel, Plant]:
+def _build_plant(
+    node: Node, files: RobotFiles, parameters: SimulationParameters
+) -> tuple[RobotModel, Plant]:
     """Read the robot's files and put the arm at its initial position."""
     robot = load_robot(files.urdf, files.tool)
     drives = load_drives(files.drives)

@@ -72,7 +72,10 @@ class EffortController:
     """
 
     def __init__(
-        self, node: Node, controller: Callable[[Array, Array, float], ArrayLike | None], names: tuple[str, ...]
+        self,
+        node: Node,
+        controller: Callable[[Array, Array, float], ArrayLike | None],
+        names: tuple[str, ...],
     ):
         self._controller = controller
         self._names = names
@@ -80,13 +83,17 @@ class EffortController:
         self._order = np.arange(len(names))
         self.time: float | None = None
         self._commands = node.create_publisher(JointState, JOINT_COMMANDS, _DEPTH)
-        self._states = node.create_subscription(JointState, MEASURED_JOINT_STATES, self._answer, _DEPTH)
+        self._states = node.create_subscription(
+            JointState, MEASURED_JOINT_STATES, self._answer, _DEPTH
+        )
 
     def _answer(self, states: Any) -> None:
         if states.name != self._received:
             if sorted(states.name) != sorted(self._names):
                 found = ", ".join(states.name)
-                raise ExchangeError(f"{self._states.topic_name} has {found}; accepted: {', '.join(self._names)}")
+                raise ExchangeError(
+                    f"{self._states.topic_name} has {found}; accepted: {', '.join(self._names)}"
+                )
             self._received = list(states.name)
             self._order = np.array([self._received.index(name) for name in self._names])
         stamp = states.header.stamp

@@ -52,7 +52,9 @@ class RunControl:
         stopped: whether the run is over.
     """
 
-    def __init__(self, paused: bool, wake: Callable[[], None], last_tick: int | None = None) -> None:
+    def __init__(
+        self, paused: bool, wake: Callable[[], None], last_tick: int | None = None
+    ) -> None:
         self._changed = threading.Condition()
         self._wake = wake
         self._last_tick = last_tick
@@ -151,12 +153,16 @@ class RunControl:
         with self._changed:
             for name, value in state.items():
                 setattr(self, name, value)
-            self._undisturbed = not (self.held or self._paused or self._reset or self.stopped or self._steps)
+            self._undisturbed = not (
+                self.held or self._paused or self._reset or self.stopped or self._steps
+            )
             self._changed.notify_all()
 
     def _wait_until(self, done: Callable[[], bool], timeout: float) -> bool:
         with self._changed:
-            return self._changed.wait_for(lambda: done() or self.stopped, timeout) and not self.stopped
+            return (
+                self._changed.wait_for(lambda: done() or self.stopped, timeout) and not self.stopped
+            )
 
 
 class Ticks:
@@ -176,7 +182,9 @@ class Ticks:
         lockstep: exchange in lock-step.
     """
 
-    def __init__(self, node: ManagedNode, robot: RobotModel, plant: Plant, parameters: SimulationParameters) -> None:
+    def __init__(
+        self, node: ManagedNode, robot: RobotModel, plant: Plant, parameters: SimulationParameters
+    ) -> None:
         self._node = node
         self._plant = plant
         self._initial_position = parameters.start(robot)
@@ -186,7 +194,9 @@ class Ticks:
         self._lock_step = parameters.time_mode == LOCK_STEP
         self._publications = Publications(node, robot, plant, parameters)
         self.pacer = Pacer(rates.period, parameters.real_time_factor if self._lock_step else 1.0)
-        self._channel = channel = node.make_channel(*COMMAND_INTERFACES[parameters.command_interface])
+        self._channel = channel = node.make_channel(
+            *COMMAND_INTERFACES[parameters.command_interface]
+        )
         # the tick that does not end; s of the steady clock
         self._waiting_tick = -1
         self._heartbeat_due = 0.0
@@ -206,11 +216,15 @@ class Ticks:
             self._joints = joints = JointInterface(plant, rates, parameters.command_hz)
             self._command_ticks = joints.ticks
             self._encode_states = JointStateCodec(plant.joint_names).encoder(*joints.measure())
-            self._decode = JointCommands(joints, plant.joint_names, channel.subscribe_topic, once).decode
+            self._decode = JointCommands(
+                joints, plant.joint_names, channel.subscribe_topic, once
+            ).decode
             self._complain: Callable[[str], None] = once.say
             otherwise = "; with time_mode free_running a clock of its own is accepted"
             limit = parameters.command_age_limit
-            self.held: HeldCommand = NewestCommand(channel, self._decode, rates.period_ns, limit, log.info, once.say)
+            self.held: HeldCommand = NewestCommand(
+                channel, self._decode, rates.period_ns, limit, log.info, once.say
+            )
         else:
             motors = motor_names(len(plant.joint_names))
             commands = JointStateCodec(motors)
@@ -222,7 +236,13 @@ class Ticks:
             timeout = parameters.command_timeout
             interrupting = self.control.interrupting
             self.held = HeldCommand(
-                channel, self._decode, rates.period_ns, timeout, log.info, self._complain, interrupting
+                channel,
+                self._decode,
+                rates.period_ns,
+                timeout,
+                log.info,
+                self._complain,
+                interrupting,
             )
         self.lockstep = LockstepSimulation(
             channel, log.info, lambda text: self._complain(text + otherwise), self._usable
@@ -273,7 +293,10 @@ class Ticks:
             self._publish_due()
         else:
             stamp = plant.tick * self._period_ns
-            if self.lockstep.exchange(stamp, self._states(), self._interrupted, self._publish_due) is None:
+            if (
+                self.lockstep.exchange(stamp, self._states(), self._interrupted, self._publish_due)
+                is None
+            ):
                 return False
         plant.step(self._torques)
         if self.pacer.factor == 0.0:

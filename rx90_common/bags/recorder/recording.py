@@ -23,12 +23,17 @@ _ANNOUNCE_WAIT_S = 1.0
 _SETTLE_S = 0.3  # a publisher learns of its match a moment after the recorder does
 _MAX_HELD_BYTES = 64 << 20  # while topics are still missing
 _LEAST_DRAIN_S = 0.2
-_QUIET_S = 1.0  # without a message after the stop request: a lost one is sent again after some heartbeats
+_QUIET_S = (
+    1.0  # without a message after the stop request: a lost one is sent again after some heartbeats
+)
 _MAX_DRAIN_S = 5.0
 
 
 def record(
-    topics: Sequence[str], ros_args: Sequence[str], make_writer: Callable[[], BagWriter], stop: StopRequest
+    topics: Sequence[str],
+    ros_args: Sequence[str],
+    make_writer: Callable[[], BagWriter],
+    stop: StopRequest,
 ) -> list[TopicCount]:
     """Record topics to a new bag until `stop` is set; return what was recorded of each.
 
@@ -45,7 +50,10 @@ def record(
     try:
         start_ros(ros_args, context)
         node = rclpy.create_node(
-            "rx90_bag_recorder", context=context, enable_rosout=False, start_parameter_services=False
+            "rx90_bag_recorder",
+            context=context,
+            enable_rosout=False,
+            start_parameter_services=False,
         )
         streams = Streams(node, topics)
         try:
@@ -128,5 +136,6 @@ def drain(streams: Iterable[Stream], order: LogOrder) -> None:
         read(streams, order)
         # Not at once: the clock of another machine may be ahead.
         complete = now > begin + _LEAST_DRAIN_S and all(
-            stream.sent_ns > asked_ns or now > max(begin, stream.taken_at) + _QUIET_S for stream in streams
+            stream.sent_ns > asked_ns or now > max(begin, stream.taken_at) + _QUIET_S
+            for stream in streams
         )

@@ -26,7 +26,9 @@ from rx90_common.exchange.message_types import message_class, types_with
 from rx90_common.exchange.ros_start import reason
 
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
-_PAUSE = 0.002  # s; the messages in it at 30,000 per second fit into a socket with Linux' default size
+_PAUSE = (
+    0.002  # s; the messages in it at 30,000 per second fit into a socket with Linux' default size
+)
 _HEADER = "std_msgs/Header"
 
 
@@ -98,7 +100,9 @@ class SequenceCounter:
 
     def _writer_before(self, number: int) -> WriterCount:
         """Return the writer whose count `number` continues, a new one or, after a loss, the one nearest to it."""
-        behind = [writer for writer in reversed(self.writers) if writer.last < number]  # the latest may be a restart
+        behind = [
+            writer for writer in reversed(self.writers) if writer.last < number
+        ]  # the latest may be a restart
         nearest = max(behind, key=lambda writer: writer.last, default=None)
         if nearest is not None and (
             nearest.last + 1 == number or (number > 1 and len(self.writers) >= self._matched())
@@ -125,7 +129,9 @@ class Streams:
             try:
                 name = node.resolve_topic_name(topic)
             except RuntimeError as error:
-                raise BagError(f"topic {quoted(topic)}: no name that ROS accepts ({reason(error)})") from error
+                raise BagError(
+                    f"topic {quoted(topic)}: no name that ROS accepts ({reason(error)})"
+                ) from error
             if name in self._found:
                 raise BagError(f"topic {name} stands twice; accepted: each topic once")
             self._found[name] = None
@@ -154,12 +160,18 @@ class Streams:
             topic
             for topic, stream in self._found.items()
             if stream is None
-            or (not stream.matched() and (stream.needs_publisher or self._node.count_publishers(topic) > 0))
+            or (
+                not stream.matched()
+                and (stream.needs_publisher or self._node.count_publishers(topic) > 0)
+            )
         ]
 
     def counts(self) -> list[TopicCount]:
         """Return what was recorded of each topic."""
-        return [TopicCount(topic) if stream is None else stream.count() for topic, stream in self._found.items()]
+        return [
+            TopicCount(topic) if stream is None else stream.count()
+            for topic, stream in self._found.items()
+        ]
 
     def clear(self) -> None:
         """Give the subscriptions back."""
@@ -189,17 +201,25 @@ class Stream:
         taken_at: when messages were taken last, s, by a clock that is never set.
     """
 
-    def __init__(self, node: Node, topic: str, place: int, endpoints: Sequence[Any], *, published: bool) -> None:
+    def __init__(
+        self, node: Node, topic: str, place: int, endpoints: Sequence[Any], *, published: bool
+    ) -> None:
         self.topic = topic
         types = sorted({str(endpoint.topic_type) for endpoint in endpoints})
         if len(types) > 1:
-            raise BagError(f"{topic} is published with the types {', '.join(types)}; accepted: one type")
+            raise BagError(
+                f"{topic} is published with the types {', '.join(types)}; accepted: one type"
+            )
         self.msgtype = types[0]
         self._kind = message_class(topic, self.msgtype)
         self.types = types_with(self.msgtype)
         profiles = [endpoint.qos_profile for endpoint in endpoints]
-        reliable = not published or all(profile.reliability != ReliabilityPolicy.BEST_EFFORT for profile in profiles)
-        latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles)
+        reliable = not published or all(
+            profile.reliability != ReliabilityPolicy.BEST_EFFORT for profile in profiles
+        )
+        latched = all(
+            profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles
+        )
         self.source = Source(place, self._stamp_at(), self.msgtype == JOINT_STATE, latched)
         self.qos: Qos = offered_qos(reliable=reliable, transient_local=latched)
         self.subscription = node.create_subscription(
@@ -208,14 +228,20 @@ class Stream:
             lambda _: None,  # the recorder takes the messages by itself
             QoSProfile(
                 depth=_DEPTH,
-                reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-                durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+                reliability=ReliabilityPolicy.RELIABLE
+                if reliable
+                else ReliabilityPolicy.BEST_EFFORT,
+                durability=DurabilityPolicy.TRANSIENT_LOCAL
+                if latched
+                else DurabilityPolicy.VOLATILE,
             ),
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
         self._matched = self._event(QoSSubscriptionEventType.RCL_SUBSCRIPTION_MATCHED)
-        self._incompatible = self._event(QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS)
+        self._incompatible = self._event(
+            QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS
+        )
         self.counter = SequenceCounter(self.matched, transient_local=latched)
         self.number: int | None = None
         self.repeated = 0
@@ -244,7 +270,10 @@ class Stream:
         taken: list[tuple[bytes, dict[str, int]]] = []
         handle: Any = self.subscription.handle
         with handle:
-            while len(taken) < _DEPTH and (message := handle.take_message(self._kind, True)) is not None:
+            while (
+                len(taken) < _DEPTH
+                and (message := handle.take_message(self._kind, True)) is not None
+            ):
                 taken.append(message)
         received_ns = np.array([info["received_timestamp"] for _, info in taken], dtype=np.int64)
         messages = [raw for raw, _ in taken]
@@ -267,7 +296,9 @@ class Stream:
 
     def count(self) -> TopicCount:
         """Return what was recorded."""
-        return TopicCount(self.topic, tuple(self.counter.writers), self.repeated, _total(self._incompatible))
+        return TopicCount(
+            self.topic, tuple(self.counter.writers), self.repeated, _total(self._incompatible)
+        )
 
 
 def _total(event: Any) -> int:

@@ -11,7 +11,13 @@ from typing import Annotated, Any, Final, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import (
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.models import JsonSchema, quantity, refusal
@@ -69,7 +75,8 @@ class ElastoPlastic(BristlesPart):
 
 
 _Shares: TypeAlias = Annotated[
-    tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...], Field(strict=False, min_length=1, max_length=MAX_BLOCKS)
+    tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...],
+    Field(strict=False, min_length=1, max_length=MAX_BLOCKS),
 ]
 
 
@@ -80,8 +87,12 @@ class MaxwellSlip(BristlesPart):
     """
 
     kind: Literal["maxwell_slip"] = "maxwell_slip"
-    stiffness: Annotated[_Shares, quantity("1", "Stiffness of each block in parts of c0; they sum to 1.")]
-    share: Annotated[_Shares, quantity("1", "Share of each block in the sliding torque; they sum to 1.")]
+    stiffness: Annotated[
+        _Shares, quantity("1", "Stiffness of each block in parts of c0; they sum to 1.")
+    ]
+    share: Annotated[
+        _Shares, quantity("1", "Share of each block in the sliding torque; they sum to 1.")
+    ]
     attraction: Annotated[
         float,
         quantity(
@@ -93,10 +104,14 @@ class MaxwellSlip(BristlesPart):
     @model_validator(mode="after")
     def _check_blocks(self) -> MaxwellSlip:
         if len(self.share) != len(self.stiffness):
-            raise refusal("share", self.share, f"{len(self.stiffness)} numbers, as many as stiffness has")
+            raise refusal(
+                "share", self.share, f"{len(self.stiffness)} numbers, as many as stiffness has"
+            )
         for name, shares in (("stiffness", self.stiffness), ("share", self.share)):
             if abs(math.fsum(shares) - 1.0) > _SUM_ERROR:
-                raise refusal(name, shares, f"numbers that sum to 1; these sum to {math.fsum(shares):.10g}")
+                raise refusal(
+                    name, shares, f"numbers that sum to 1; these sum to {math.fsum(shares):.10g}"
+                )
         return self
 
     def passivity_factor(self, c0: float, speed: ArrayLike) -> Array:
@@ -128,7 +143,11 @@ def bristles_state_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the bristles' state besides the deflection that every element has."""
     return np.dtype(
         [
-            ("blocks", np.float64, (width, 2, MAX_BLOCKS)),  # deflections and senses, as `maxwell_slip_step` has them
+            (
+                "blocks",
+                np.float64,
+                (width, 2, MAX_BLOCKS),
+            ),  # deflections and senses, as `maxwell_slip_step` has them
             ("deflection", np.float64, (width,)),  # workspace of a step
             ("torque", np.float64, (width,)),
         ],
@@ -136,7 +155,9 @@ def bristles_state_dtype(width: int) -> np.dtype[np.void]:
     )
 
 
-def fill_bristles(record: Any, kinds: Sequence[BristlesPart | None], _: Surroundings | None = None) -> None:
+def fill_bristles(
+    record: Any, kinds: Sequence[BristlesPart | None], _: Surroundings | None = None
+) -> None:
     """Write the bristles of elements into a record of `bristles_dtype(len(kinds))`, zero before; None is LuGre's."""
     blocks = record["blocks"]
     blocks["reach"] = blocks["attraction"] = 1.0
@@ -159,5 +180,9 @@ def reset_bristles(_parts: Any, state: Any, _transmitted: Lanes, _step: float, _
 
 
 BRISTLES = Part(
-    (ElastoPlastic, MaxwellSlip), bristles_dtype, fill_bristles, state=bristles_state_dtype, settle=reset_bristles
+    (ElastoPlastic, MaxwellSlip),
+    bristles_dtype,
+    fill_bristles,
+    state=bristles_state_dtype,
+    settle=reset_bristles,
 )

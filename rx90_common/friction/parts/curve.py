@@ -53,19 +53,31 @@ class CurveTable(FileModel):
     """Sliding torque by speed, in place of tau_c and tau_s, or such a block for each of positive and negative."""
 
     velocity: Annotated[_Speeds, quantity("rad/s", "Speeds, each above the one before.")]
-    torque: Annotated[_Torques, quantity("Nm", "Steady sliding torque at each of them, without c2's.")]
+    torque: Annotated[
+        _Torques, quantity("Nm", "Steady sliding torque at each of them, without c2's.")
+    ]
 
     @model_validator(mode="after")
     def _check_points(self) -> CurveTable:
         if any(before >= after for before, after in pairwise(self.velocity)):
             raise refusal("velocity", self.velocity, "numbers each above the one before")
         if len(self.torque) != len(self.velocity):
-            raise refusal("torque", self.torque, f"{len(self.velocity)} numbers, as many as velocity has")
+            raise refusal(
+                "torque", self.torque, f"{len(self.velocity)} numbers, as many as velocity has"
+            )
         slopes = self.slopes
         if slopes[-1] < 0.0:
-            raise refusal("torque", self.torque, "numbers that do not fall at the end, or friction would end at speed")
+            raise refusal(
+                "torque",
+                self.torque,
+                "numbers that do not fall at the end, or friction would end at speed",
+            )
         if self.torque[0] <= slopes[0] * self.velocity[0]:
-            raise refusal("torque", self.torque, "numbers whose line before the first point is above 0 at rest")
+            raise refusal(
+                "torque",
+                self.torque,
+                "numbers whose line before the first point is above 0 at rest",
+            )
         return self
 
     @property
@@ -75,7 +87,9 @@ class CurveTable(FileModel):
         secants = (np.diff(self.torque) / widths).tolist()
         if len(secants) == 1:
             return [*secants, *secants]
-        inner = [_inner_slope(*pair, *widths[k : k + 2]) for k, pair in enumerate(pairwise(secants))]
+        inner = [
+            _inner_slope(*pair, *widths[k : k + 2]) for k, pair in enumerate(pairwise(secants))
+        ]
         first = _end_slope(*secants[:2], *widths[:2])
         last = _end_slope(*secants[:-3:-1], *widths[:-3:-1])
         return [first, *inner, last]
@@ -141,7 +155,9 @@ class CurvePart(BySign[CurveTable], FrictionPart):
     def at_rest(self) -> BySign[float]:
         """Return the torque at rest, which friction breaks away from, Nm."""
         start = np.zeros(1)
-        return BySign[float](positive=self.positive.at(start)[0], negative=self.negative.at(start)[0])
+        return BySign[float](
+            positive=self.positive.at(start)[0], negative=self.negative.at(start)[0]
+        )
 
     @property
     def ratio(self) -> float:
@@ -206,7 +222,13 @@ def _torque(part: Any, sign: int, element: int, speed: float) -> float:
 
 @inlined
 def curved(
-    parts: Any, state: Any, present: Present, _angle: Lanes, velocity: Lanes, _ahead: float, width: int
+    parts: Any,
+    state: Any,
+    present: Present,
+    _angle: Lanes,
+    velocity: Lanes,
+    _ahead: float,
+    width: int,
 ) -> Present:
     """Put the torques of the tables in place of tau_c and tau_s."""
     if not parts.curve.used:

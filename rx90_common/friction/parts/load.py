@@ -70,32 +70,52 @@ class LoadPart(FrictionPart):
 
     driving: Annotated[
         _Coefficient,
-        Field(description="Share of the load torque by which friction grows where the motor moves the link."),
+        Field(
+            description="Share of the load torque by which friction grows where the motor moves the link."
+        ),
     ]
     driven: Annotated[_Coefficient, Field(description="The same where the link moves the motor.")]
     stribeck_driving: Annotated[
         _Coefficient, Field(description="Share by which static torque grows beyond driving.")
     ] = 0.0
-    stribeck_driven: Annotated[_Coefficient, Field(description="Share by which static torque grows beyond driven.")] = (
-        0.0
-    )
+    stribeck_driven: Annotated[
+        _Coefficient, Field(description="Share by which static torque grows beyond driven.")
+    ] = 0.0
     quadratic_driving: Annotated[
-        _Quadratic, Field(description="Growth of static torque by the square of the load torque, driving.")
+        _Quadratic,
+        Field(description="Growth of static torque by the square of the load torque, driving."),
     ] = 0.0
     quadratic_driven: Annotated[
-        _Quadratic, Field(description="Growth of static torque by the square of the load torque, driven.")
+        _Quadratic,
+        Field(description="Growth of static torque by the square of the load torque, driven."),
     ] = 0.0
     omega_s: Annotated[
-        float, quantity("rad/s", "Stribeck velocity of the load's share; 0: that of the element.", ge=0.0, le=1e6)
+        float,
+        quantity(
+            "rad/s",
+            "Stribeck velocity of the load's share; 0: that of the element.",
+            ge=0.0,
+            le=1e6,
+        ),
     ] = 0.0
     relax_time: Annotated[
-        float, quantity("s", "Time in which friction follows the load, at least the plant's step.", gt=0.0, le=1.0)
+        float,
+        quantity(
+            "s",
+            "Time in which friction follows the load, at least the plant's step.",
+            gt=0.0,
+            le=1.0,
+        ),
     ] = RELAX_TIME
 
     @model_validator(mode="after")
     def _check_speed(self) -> LoadPart:
         if 0.0 < self.omega_s < MIN_SPEED:
-            raise refusal("omega_s", self.omega_s, f"0 for that of the element, or a number in [{MIN_SPEED:g}, 1e+06]")
+            raise refusal(
+                "omega_s",
+                self.omega_s,
+                f"0 for that of the element, or a number in [{MIN_SPEED:g}, 1e+06]",
+            )
         return self
 
 
@@ -134,7 +154,9 @@ def fill_load(record: Any, parts: Sequence[LoadPart | None], _: Surroundings) ->
 
 
 @inlined
-def load_torques(part: Any, transmitted: Lanes, velocity: Lanes, delta: Lanes, width: int) -> tuple[Lanes, Lanes]:
+def load_torques(
+    part: Any, transmitted: Lanes, velocity: Lanes, delta: Lanes, width: int
+) -> tuple[Lanes, Lanes]:
     """Return the increase of Coulomb and static torque, Nm, by a load, Nm, at a velocity, rad/s.
 
     A share with a Stribeck velocity of its own counts as Coulomb torque, as large as it is at this velocity.
@@ -148,14 +170,22 @@ def load_torques(part: Any, transmitted: Lanes, velocity: Lanes, delta: Lanes, w
     if part.fades:
         inverse = load(part.inverse_omega_s, width)
         own = inverse > 0.0
-        coulomb = coulomb + select(own, rise * exponential(-power(absolute(velocity) * inverse, delta)), 0.0)
+        coulomb = coulomb + select(
+            own, rise * exponential(-power(absolute(velocity) * inverse, delta)), 0.0
+        )
         rise = select(own, 0.0, rise)
     return coulomb, coulomb + rise
 
 
 @inlined
 def loaded(
-    parts: Any, state: Any, present: Present, _angle: Lanes, velocity: Lanes, ahead: float, width: int
+    parts: Any,
+    state: Any,
+    present: Present,
+    _angle: Lanes,
+    velocity: Lanes,
+    ahead: float,
+    width: int,
 ) -> Present:
     """Add the load's share of Coulomb and static torque."""
     transmitted = fma(ahead, load(state.load.slope, width), load(state.load.torque, width))

@@ -55,12 +55,16 @@ class RipplePart(FrictionPart):
     joint_amplitude: Annotated[
         _Shares, quantity("1", "Share of Coulomb and static torque, of each wave of the joint.")
     ] = ()
-    joint_phase: Annotated[_Phases, quantity("rad", "Phase of each cosine where the angle is 0, of the joint.")] = ()
+    joint_phase: Annotated[
+        _Phases, quantity("rad", "Phase of each cosine where the angle is 0, of the joint.")
+    ] = ()
     motor_harmonic: Annotated[_Waves, quantity("1", "Waves in a turn of the motor.")] = ()
     motor_amplitude: Annotated[
         _Shares, quantity("1", "Share of Coulomb and static torque, of each wave of the motor.")
     ] = ()
-    motor_phase: Annotated[_Phases, quantity("rad", "Phase of each cosine where the angle is 0, of the motor.")] = ()
+    motor_phase: Annotated[
+        _Phases, quantity("rad", "Phase of each cosine where the angle is 0, of the motor.")
+    ] = ()
 
     @property
     def series(self) -> tuple[Series, Series]:
@@ -104,7 +108,9 @@ def ripple_dtype(width: int) -> np.dtype[np.void]:
     )
 
 
-def fill_ripple(record: Any, parts: Sequence[RipplePart | None], surroundings: Surroundings) -> None:
+def fill_ripple(
+    record: Any, parts: Sequence[RipplePart | None], surroundings: Surroundings
+) -> None:
     """Write the constants, an element for each of `parts`."""
     most = 0
     for i, part in enumerate(parts):
@@ -129,13 +135,21 @@ def ripple_factor(part: Any, angle: Lanes, width: int) -> Lanes:
     factor = 0.0 * angle + 1.0
     for k in range(part.terms):
         sine, cosine = sine_cosine(load(part.harmonic[k], width) * angle)
-        factor = fma(load(part.cosine[k], width), cosine, fma(load(part.sine[k], width), sine, factor))
+        factor = fma(
+            load(part.cosine[k], width), cosine, fma(load(part.sine[k], width), sine, factor)
+        )
     return factor
 
 
 @inlined
 def rippled(
-    parts: Any, _state: Any, present: Present, angle: Lanes, _velocity: Lanes, _ahead: float, width: int
+    parts: Any,
+    _state: Any,
+    present: Present,
+    angle: Lanes,
+    _velocity: Lanes,
+    _ahead: float,
+    width: int,
 ) -> Present:
     """Scale Coulomb and static torque."""
     return scaled(present, ripple_factor(parts.ripple, angle, width))

@@ -40,8 +40,14 @@ LARGEST_SEED = 2**53
 
 def check_seed(seed: object) -> None:
     """Refuse an invalid seed."""
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed <= LARGEST_SEED:
-        raise ConfigError(f"seed is {quoted(seed)}; accepted: a whole number from 0 to {LARGEST_SEED}")
+    if (
+        isinstance(seed, bool)
+        or not isinstance(seed, int | np.integer)
+        or not 0 <= seed <= LARGEST_SEED
+    ):
+        raise ConfigError(
+            f"seed is {quoted(seed)}; accepted: a whole number from 0 to {LARGEST_SEED}"
+        )
 
 
 class ScatterPart(FrictionPart):
@@ -51,9 +57,12 @@ class ScatterPart(FrictionPart):
     """
 
     deviation: Annotated[
-        float, quantity("1", "Standard deviation, share of Coulomb and static torque.", gt=0.0, le=0.2)
+        float,
+        quantity("1", "Standard deviation, share of Coulomb and static torque.", gt=0.0, le=0.2),
     ]
-    correlation_time: Annotated[float, quantity("s", "Time in which the walk forgets.", ge=1e-2, le=1e7)]
+    correlation_time: Annotated[
+        float, quantity("s", "Time in which the walk forgets.", ge=1e-2, le=1e7)
+    ]
 
     @property
     def least_factor(self) -> float:
@@ -76,11 +85,17 @@ def scatter_dtype(width: int) -> np.dtype[np.void]:
 
 def scatter_state_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the state; the factor is what Coulomb and static torque are multiplied with."""
-    walk = [("counter", np.uint64, (width,)), ("walk", np.float64, (width,)), ("factor", np.float64, (width,))]
+    walk = [
+        ("counter", np.uint64, (width,)),
+        ("walk", np.float64, (width,)),
+        ("factor", np.float64, (width,)),
+    ]
     return np.dtype(walk, align=True)
 
 
-def fill_scatter(record: Any, parts: Sequence[ScatterPart | None], surroundings: Surroundings) -> None:
+def fill_scatter(
+    record: Any, parts: Sequence[ScatterPart | None], surroundings: Surroundings
+) -> None:
     """Write the constants, an element for each of `parts`."""
     record["seed"] = surroundings.seed
     for i, part in enumerate(parts):
@@ -131,7 +146,13 @@ def _factor(part: Any, walks: Any, element: int) -> float:
 
 @inlined
 def scattered(
-    _parts: Any, state: Any, present: Present, _angle: Lanes, _velocity: Lanes, _ahead: float, width: int
+    _parts: Any,
+    state: Any,
+    present: Present,
+    _angle: Lanes,
+    _velocity: Lanes,
+    _ahead: float,
+    width: int,
 ) -> Present:
     """Scale Coulomb and static torque."""
     return scaled(present, load(state.scatter.factor, width))

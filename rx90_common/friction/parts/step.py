@@ -27,7 +27,9 @@ from rx90_common.kernels.lanes import Lanes, fma, load
 def parts_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants of the parts of `width` elements, the element the last index."""
     constants = [(name, part.constants(width)) for name, part in PARTS.items()]
-    return np.dtype([("used", np.int64), *constants], align=True)  # used: 1 if any element has any part
+    return np.dtype(
+        [("used", np.int64), *constants], align=True
+    )  # used: 1 if any element has any part
 
 
 def parts_state_dtype(width: int) -> np.dtype[np.void]:
@@ -91,7 +93,13 @@ def _presenting(hooks: Sequence[Any]) -> Any:
 
     @inlined
     def both(
-        parts: Any, state: Any, present: Present, angle: Lanes, velocity: Lanes, ahead: float, width: int
+        parts: Any,
+        state: Any,
+        present: Present,
+        angle: Lanes,
+        velocity: Lanes,
+        ahead: float,
+        width: int,
     ) -> Present:
         changed = first(parts, state, present, angle, velocity, ahead, width)
         return following(parts, state, changed, angle, velocity, ahead, width)  # type: ignore[no-any-return]
@@ -146,7 +154,14 @@ def effective_elements(
 
 @inlined
 def parts_step(
-    arrays: Any, parts: Any, state: Any, z: Lanes, angle: Lanes, velocity: Lanes, step: float, width: int
+    arrays: Any,
+    parts: Any,
+    state: Any,
+    z: Lanes,
+    angle: Lanes,
+    velocity: Lanes,
+    step: float,
+    width: int,
 ) -> tuple[Lanes, Lanes]:
     """Advance the bristles by `step` seconds, angle, rad, and velocity, rad/s, being those of its middle.
 
@@ -158,7 +173,9 @@ def parts_step(
 
 
 @inlined
-def parts_torque(arrays: Any, parts: Any, state: Any, z: Lanes, angle: Lanes, velocity: Lanes, width: int) -> Lanes:
+def parts_torque(
+    arrays: Any, parts: Any, state: Any, z: Lanes, angle: Lanes, velocity: Lanes, width: int
+) -> Lanes:
     """Return the friction torque at the end of the last step, Nm."""
     element = effective_elements(arrays, parts, state, angle, velocity, 0.0, width)
     return bristles_torque(element, parts.bristles, state.bristles, z, velocity, width)

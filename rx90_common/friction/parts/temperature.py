@@ -67,26 +67,38 @@ class TemperaturePart(FrictionPart):
     A thermal node; equations in this module's docstring, degrees Celsius.
     """
 
-    reference: Annotated[float, _degrees("Temperature at which the element has its own parameters.")]
+    reference: Annotated[
+        float, _degrees("Temperature at which the element has its own parameters.")
+    ]
     lowest: Annotated[float, _degrees("Lowest temperature for which the law holds.")]
     highest: Annotated[float, _degrees("Highest temperature for which it holds.")]
     start: Annotated[float, _degrees("Temperature at the start and after a reset.")]
     ambient: Annotated[float, _degrees("Temperature of the surroundings.")]
     capacity: Annotated[float, quantity("J/K", "Heat capacity of the joint.", gt=0.0, le=1e9)]
     resistance: Annotated[float, quantity("K/W", "Between joint and surroundings.", gt=0.0, le=1e6)]
-    viscous_scale: Annotated[float, quantity("K", "Rise that takes viscous friction to 1/e.", ge=1.0, le=1000.0)]
-    viscous_floor: Annotated[float, _share("Share of viscous friction that stays however warm it is.")] = 0.0
-    speed_slope: Annotated[float, _slope("Growth of the Stribeck velocity, share of that at the reference.")] = 0.0
-    static_slope: Annotated[float, _slope("Growth of static less Coulomb torque, share of that at the reference.")] = (
-        0.0
-    )
-    motor_share: Annotated[float, _share("Share of the heat of the motor's winding that comes to the joint.")] = 1.0
+    viscous_scale: Annotated[
+        float, quantity("K", "Rise that takes viscous friction to 1/e.", ge=1.0, le=1000.0)
+    ]
+    viscous_floor: Annotated[
+        float, _share("Share of viscous friction that stays however warm it is.")
+    ] = 0.0
+    speed_slope: Annotated[
+        float, _slope("Growth of the Stribeck velocity, share of that at the reference.")
+    ] = 0.0
+    static_slope: Annotated[
+        float, _slope("Growth of static less Coulomb torque, share of that at the reference.")
+    ] = 0.0
+    motor_share: Annotated[
+        float, _share("Share of the heat of the motor's winding that comes to the joint.")
+    ] = 1.0
 
     @model_validator(mode="after")
     def _check_range(self) -> TemperaturePart:
         if not self.lowest < self.highest:
             raise refusal("lowest", self.lowest, f"below highest = {self.highest:g} °C")
-        held = f"from lowest to highest, where the law holds, [{self.lowest:g}, {self.highest:g}] °C"
+        held = (
+            f"from lowest to highest, where the law holds, [{self.lowest:g}, {self.highest:g}] °C"
+        )
         for name, value in (("start", self.start), ("ambient", self.ambient)):
             if not self.lowest <= value <= self.highest:
                 raise refusal(name, value, held)
@@ -107,7 +119,9 @@ class TemperaturePart(FrictionPart):
     def viscous_range(self) -> tuple[float, float]:
         """Return the least and the largest number that the viscous friction of a run is multiplied with."""
         rise = np.array([self.highest, min(self.start, self.ambient)]) - self.reference
-        warm, cold = self.viscous_floor + (1.0 - self.viscous_floor) * np.exp(-rise / self.viscous_scale)
+        warm, cold = self.viscous_floor + (1.0 - self.viscous_floor) * np.exp(
+            -rise / self.viscous_scale
+        )
         return float(warm), float(cold)
 
     def weakest(self, element: Any) -> Any:
@@ -118,8 +132,12 @@ class TemperaturePart(FrictionPart):
         return element.replaced(
             omega_s=element.omega_s * min(1.0, speed),
             tau_s={
-                "positive": _between(element.tau_c.positive, element.tau_s.positive, min(1.0, static)),
-                "negative": _between(element.tau_c.negative, element.tau_s.negative, min(1.0, static)),
+                "positive": _between(
+                    element.tau_c.positive, element.tau_s.positive, min(1.0, static)
+                ),
+                "negative": _between(
+                    element.tau_c.negative, element.tau_s.negative, min(1.0, static)
+                ),
             },
             temperature=None,
         )
@@ -135,7 +153,9 @@ _PLAIN = ("reference", "highest", "start", "ambient", "resistance", "speed_slope
 def temperature_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants; a slope, or the share that fades, is 0 where the part is off."""
     lanes = (*_PLAIN, "inverse_scale", "fading", "gain", "motor")
-    return np.dtype([("used", np.int64), *((name, np.float64, (width,)) for name in lanes)], align=True)
+    return np.dtype(
+        [("used", np.int64), *((name, np.float64, (width,)) for name in lanes)], align=True
+    )
 
 
 def temperature_state_dtype(width: int) -> np.dtype[np.void]:
@@ -152,7 +172,9 @@ def temperature_state_dtype(width: int) -> np.dtype[np.void]:
     return np.dtype([(name, np.float64, (width,)) for name in names], align=True)
 
 
-def fill_temperature(record: Any, parts: Sequence[TemperaturePart | None], surroundings: Surroundings) -> None:
+def fill_temperature(
+    record: Any, parts: Sequence[TemperaturePart | None], surroundings: Surroundings
+) -> None:
     """Write the constants, an element for each of `parts`."""
     for i, part in enumerate(parts):
         if part is not None:
@@ -162,7 +184,9 @@ def fill_temperature(record: Any, parts: Sequence[TemperaturePart | None], surro
                 record[name][i] = values[name]
             record["inverse_scale"][i] = 1.0 / part.viscous_scale
             record["fading"][i] = 1.0 - part.viscous_floor
-            record["gain"][i] = -exponential_less_one_of(-surroundings.period / (part.capacity * part.resistance))
+            record["gain"][i] = -exponential_less_one_of(
+                -surroundings.period / (part.capacity * part.resistance)
+            )
             record["motor"][i] = part.motor_share * surroundings.motor_heat[i]
 
 
@@ -185,7 +209,11 @@ def follow_temperatures(part: Any, state: Any, width: int) -> None:
     above = select(now > highest, highest, now) - load(part.reference, width)
     store(
         state.viscous,
-        fma(load(part.fading, width), exponential_less_one(-above * load(part.inverse_scale, width)), 1.0),
+        fma(
+            load(part.fading, width),
+            exponential_less_one(-above * load(part.inverse_scale, width)),
+            1.0,
+        ),
     )
     store(state.speed, 1.0 / fma(load(part.speed_slope, width), above, 1.0))
     store(state.static, load(part.static_slope, width) * above)
@@ -204,7 +232,9 @@ def add_work(state: Any, torque: Lanes, velocity: Lanes, step: float, width: int
 
 
 @inlined
-def advance_temperatures(part: Any, state: Any, stored: Lanes, motor: Lanes, period: float, width: int) -> None:
+def advance_temperatures(
+    part: Any, state: Any, stored: Lanes, motor: Lanes, period: float, width: int
+) -> None:
     """Warm the joints over a tick.
 
     Args:
@@ -216,7 +246,11 @@ def advance_temperatures(part: Any, state: Any, stored: Lanes, motor: Lanes, per
         period: of a tick, s.
         width: elements, a literal.
     """
-    heat = load(state.work, width) - (stored - load(state.stored, width)) + period * load(part.motor, width) * motor
+    heat = (
+        load(state.work, width)
+        - (stored - load(state.stored, width))
+        + period * load(part.motor, width) * motor
+    )
     store(state.stored, stored)
     store(state.work, 0.0 * heat)
     store(state.heat, load(state.heat, width) + heat)
@@ -228,7 +262,13 @@ def advance_temperatures(part: Any, state: Any, stored: Lanes, motor: Lanes, per
 
 @inlined
 def warmed(
-    _parts: Any, state: Any, present: Present, _angle: Lanes, _velocity: Lanes, _ahead: float, width: int
+    _parts: Any,
+    state: Any,
+    present: Present,
+    _angle: Lanes,
+    _velocity: Lanes,
+    _ahead: float,
+    width: int,
 ) -> Present:
     """Change static torque, Stribeck velocity and viscous friction by the present temperature."""
     return Present(
@@ -247,5 +287,9 @@ def warmed(
 
 
 TEMPERATURE = Part(
-    (TemperaturePart,), temperature_dtype, fill_temperature, state=temperature_state_dtype, present=warmed
+    (TemperaturePart,),
+    temperature_dtype,
+    fill_temperature,
+    state=temperature_state_dtype,
+    present=warmed,
 )

@@ -103,7 +103,9 @@ class PlannedArm:
             robot=robot,
             rigid=RigidArm(names, names, np.eye(n), robot.model, np.zeros((n, n)), zero, np.eye(n)),
             home=pose,
-            limits=JointLimits(names, robot.lower, robot.upper, robot.max_velocity, fastest, _START_TOLERANCE),
+            limits=JointLimits(
+                names, robot.lower, robot.upper, robot.max_velocity, fastest, _START_TOLERANCE
+            ),
             motor_torque=np.full(n, np.inf),
             coulomb=zero,
             viscous=zero,
@@ -171,6 +173,8 @@ class PlannedArm:
 def _home(robot: RobotModel, given: Sequence[float] | None) -> tuple[Array, tuple[str, ...]]:
     if given is None:
         middle = 0.5 * (robot.lower + robot.upper)
-        return middle, (f"home is the middle of the joints' ranges, {listed(f'{angle:.4g}' for angle in middle)} rad",)
+        return middle, (
+            f"home is the middle of the joints' ranges, {listed(f'{angle:.4g}' for angle in middle)} rad",
+        )
     check_pose("home", given, robot)
     return np.array(given, dtype=np.float64), ()

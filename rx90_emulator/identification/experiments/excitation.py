@@ -33,13 +33,22 @@ from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
 
 _VALIDATION_TEMPO = 0.75
 _SMOOTH = 0.1  # rad/s, over which the sign of the velocity changes in the search
-_DIFFERENCE = 1e-4  # rad and rad/s: derivatives are differences; distances of shapes are right to 1e-6 m
+_DIFFERENCE = (
+    1e-4  # rad and rad/s: derivatives are differences; distances of shapes are right to 1e-6 m
+)
 _RIDGE = 1e-9  # of the squared length of a column: a less excited one counts as not excited
 _LEAST_ROOM = 0.05  # rad, of a random motion about a home at the end of a joint's range
 _RANDOM_STARTS = 12  # random series, the best of which is improved
-_SAMPLES_PER_HARMONIC = 16  # samples in a period of the fastest sine: a peak between two is missed by 2 %
-_SPATIAL_STRIDE = 4  # samples from one computed distance to the next: distances are smooth, and take longest
-_LIMIT_COSTS = (1.0, 50.0)  # of exceeding a limit by its whole size at one sample: at first walls are soft
+_SAMPLES_PER_HARMONIC = (
+    16  # samples in a period of the fastest sine: a peak between two is missed by 2 %
+)
+_SPATIAL_STRIDE = (
+    4  # samples from one computed distance to the next: distances are smooth, and take longest
+)
+_LIMIT_COSTS = (
+    1.0,
+    50.0,
+)  # of exceeding a limit by its whole size at one sample: at first walls are soft
 _MAX_LINE_EVALUATIONS = 50  # of a step: a step into a wall would need thousands
 _MARGIN = 0.02  # of a limit, that a search keeps for the motion between its samples
 _CHECK_STEP_S = 0.01  # s between samples at which a motion is checked for the limits
@@ -115,7 +124,9 @@ class ExcitationSearch:
         elements = self.arm.rigid.element_matrix
         inputs = (motion[1] @ elements.T)[:, None]
         friction = [np.tanh(inputs / _SMOOTH) * elements.T, inputs * elements.T]
-        columns = np.concatenate([self._columns.torque(*motion)[:, :, self._leading], *friction], axis=2)
+        columns = np.concatenate(
+            [self._columns.torque(*motion)[:, :, self._leading], *friction], axis=2
+        )
         return np.asarray(columns / self.arm.robot.max_effort[:, None])
 
     def best(self, rng: np.random.Generator, step: Callable[[], object]) -> Array:
@@ -132,7 +143,10 @@ class ExcitationSearch:
                 jac=True,
                 method="L-BFGS-B",
                 callback=show,
-                options={"maxiter": self.options.steps // len(_LIMIT_COSTS), "maxls": _MAX_LINE_EVALUATIONS},
+                options={
+                    "maxiter": self.options.steps // len(_LIMIT_COSTS),
+                    "maxls": _MAX_LINE_EVALUATIONS,
+                },
             ).x
         return self.within(best.reshape(len(self.arm.home), -1))
 
@@ -172,7 +186,9 @@ class ExcitationSearch:
             change = np.einsum("mnp,mnp->m", by_rows, self.rows(moved) - rows)
             change += limit_cost * (self._penalty(moved) - penalty)
             if kind == 0:
-                change[near] += limit_cost * (self.workspace.nearness(moved[0, near]) - nearness[near])
+                change[near] += limit_cost * (
+                    self.workspace.nearness(moved[0, near]) - nearness[near]
+                )
             by_motion[kind, :, joint] = change / _DIFFERENCE
         gradient = np.einsum("kmn,kmc->nc", by_motion, self.samples)
         return value + limit_cost * float(np.sum(penalty + nearness)), np.asarray(gradient).ravel()
@@ -181,7 +197,8 @@ class ExcitationSearch:
         """Return by how much of its size each limit is exceeded, negative within, shape (m, n) each."""
         shares = self.arm.shares(motion, self.arm.rigid.torque(*motion))
         return {
-            name: share / (1.0 if name == "position" else self.options.share) - 1.0 for name, share in shares.items()
+            name: share / (1.0 if name == "position" else self.options.share) - 1.0
+            for name, share in shares.items()
         }
 
     def _penalty(self, motion: Array) -> Array:
@@ -208,7 +225,11 @@ class ExcitationSearch:
             if excess[:, joint].max() > 0.0:
                 return f"the {name} of {self.arm.names_of(name)[joint]} is {1.0 + excess.max():.0%} of what is allowed"
         room = self.workspace.distances(motion[0]).min(axis=0) - self.workspace.least
-        return f"{self.workspace.pairs[int(np.argmin(room))]} is too near" if np.any(room < 0.0) else ""
+        return (
+            f"{self.workspace.pairs[int(np.argmin(room))]} is too near"
+            if np.any(room < 0.0)
+            else ""
+        )
 
     def run(self, coefficients: Array, name: str, tempo: float, periods: int) -> Experiment:
         """Return a run: periods of the series at a tempo, and a rest."""
@@ -249,14 +270,21 @@ def plan_excitation(
     """
     search = ExcitationSearch(arm, options)
     best = search.best(np.random.default_rng(options.seed), step)
-    plan = [search.run(best, f"excitation_{k}", tempo, periods) for k, (tempo, periods) in enumerate(options.tempos, 1)]
+    plan = [
+        search.run(best, f"excitation_{k}", tempo, periods)
+        for k, (tempo, periods) in enumerate(options.tempos, 1)
+    ]
     unseen = search.within(search.random(np.random.default_rng((options.seed, 1))))
     plan.append(search.run(unseen, "validation", _VALIDATION_TEMPO, 1))
     columns = np.concatenate(search.rows(search.motion(best, search.samples)))
     condition = np.linalg.cond(columns / np.linalg.norm(columns, axis=0))
     remarks = [*arm.remarks, f"condition number of {columns.shape[1]} columns: {condition:.3g}"]
     if search.workspace.meshes:
-        remarks.append(f"meshes do not count for collisions: those of {listed(search.workspace.meshes)}")
+        remarks.append(
+            f"meshes do not count for collisions: those of {listed(search.workspace.meshes)}"
+        )
     if search.workspace.uncounted:
-        remarks.append(f"too near to each other at home to count: {listed(search.workspace.uncounted)}")
+        remarks.append(
+            f"too near to each other at home to count: {listed(search.workspace.uncounted)}"
+        )
     return tuple(plan), remarks

@@ -35,7 +35,9 @@ _APPROACH_SPEED = 0.25
 _APPROACH_ACCELERATION = 2.0
 
 
-def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, controller: str, timeout: float) -> None:
+def run_on_nodes(
+    setup: Setup, plan: Sequence[Experiment], folder: Path, controller: str, timeout: float
+) -> None:
     """Run and record experiments on the controller node, one by one; after Ctrl-C complete bags stay.
 
     Args:
@@ -53,7 +55,9 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
         client_node("rx90_experiment", timeout, partial(print, flush=True)) as client,
         # A recorder that still runs at the end is stopped properly.
         ProcessGroup(folder, grace=20.0) as recorders,
-        tqdm(total=round(sum(experiment.duration for experiment in plan)), unit="s", disable=None) as bar,
+        tqdm(
+            total=round(sum(experiment.duration for experiment in plan)), unit="s", disable=None
+        ) as bar,
     ):
         trajectory = TrajectoryClient(client, controller)
         trajectory.wait_for_controller()
@@ -128,7 +132,9 @@ def follow_trajectory(
         run.see(set_points.time, set_points.position, time.monotonic())
         show(run.elapsed)
         client.spin()
-        time.sleep(POLL / 2.0)  # the newest message suffices; in between the processor is left to the nodes
+        time.sleep(
+            POLL / 2.0
+        )  # the newest message suffices; in between the processor is left to the nodes
     return run.end
 
 
@@ -159,7 +165,10 @@ class FollowedTrajectory:
         self._before = before
         self._timeout = timeout
         self._newest = (-math.inf, 0.0)  # time, and when it came by the wall clock
-        self._due = (math.inf, math.inf)  # of both clocks: without a pace, seconds pass while a message is on its way
+        self._due = (
+            math.inf,
+            math.inf,
+        )  # of both clocks: without a pace, seconds pass while a message is on its way
         self.elapsed = 0.0
         self.end = math.inf
         self.done = False
@@ -181,10 +190,14 @@ class FollowedTrajectory:
         if now > time_before:
             self._newest = (now, clock)
         elif clock - came > self._timeout:
-            raise ExchangeError(f"the controller's time stood still at {now:.3f} s for {self._timeout:g} s")
+            raise ExchangeError(
+                f"the controller's time stood still at {now:.3f} s for {self._timeout:g} s"
+            )
         duration = float(self._points.times[-1])
         if self.end == math.inf and np.abs(position - self._before).max() > _AT_REST:
-            leaves = int(np.argmax((np.abs(self._points.position - self._before) > _AT_REST).any(axis=1)))
+            leaves = int(
+                np.argmax((np.abs(self._points.position - self._before) > _AT_REST).any(axis=1))
+            )
             self.end = now - float(self._points.times[max(leaves - 1, 0)]) + duration
             self._due = (self.end + _PATIENCE, clock + duration + _PATIENCE)
         if self.end < math.inf:
@@ -192,4 +205,6 @@ class FollowedTrajectory:
             arrived = np.abs(position - self._points.position[-1]).max() <= _AT_REST
             self.done = bool(now > self.end + POLL and arrived)
         if not self.done and now > self._due[0] and clock > self._due[1]:
-            raise ExchangeError("the controller did not run the trajectory to its end; it says why on its terminal")
+            raise ExchangeError(
+                "the controller did not run the trajectory to its end; it says why on its terminal"
+            )

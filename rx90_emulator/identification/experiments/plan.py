@@ -107,11 +107,19 @@ class PlanOptions:
 
     def __post_init__(self) -> None:
         if not _MIN_SPEEDS <= self.speeds <= _MAX_SPEEDS:
-            raise IdentificationError(f"{self.speeds} speeds; accepted: {_MIN_SPEEDS} to {_MAX_SPEEDS}")
+            raise IdentificationError(
+                f"{self.speeds} speeds; accepted: {_MIN_SPEEDS} to {_MAX_SPEEDS}"
+            )
 
 
 _QUICK: Mapping[str, Any] = MappingProxyType(
-    {"speeds": 8, "travel": 0.016, "presliding_cycles": (2e-3,), "tone_amplitudes": (4e-5,), "burst": 3.0}
+    {
+        "speeds": 8,
+        "travel": 0.016,
+        "presliding_cycles": (2e-3,),
+        "tone_amplitudes": (4e-5,),
+        "burst": 3.0,
+    }
 )
 
 
@@ -136,7 +144,9 @@ def plan_experiments(
         poses = poses.replaced(sweeps={"positions": poses.sweeps.positions[:1]})
     if speeds is not None:
         options["speeds"] = speeds
-    return make_plan(setup.robot, setup.drives, PlanOptions(poses=poses, groups=tuple(groups), **options))
+    return make_plan(
+        setup.robot, setup.drives, PlanOptions(poses=poses, groups=tuple(groups), **options)
+    )
 
 
 def directions(names: Sequence[str], turning: Coupling) -> dict[str, Array]:
@@ -160,10 +170,14 @@ _SAMPLING_PERIOD = Rates().position_period  # s, that of joint_states too
 _MAX_LOG_SHIFT = 0.1  # of the logarithm of a speed
 _SPEED_CANDIDATES = 401
 _BEAT_DENOMINATORS = (1, 2, 3, 4)
-_AVERAGED_OUT = 0.25  # distance from a beat, times the denominator, beyond which the ripple averages out
+_AVERAGED_OUT = (
+    0.25  # distance from a beat, times the denominator, beyond which the ripple averages out
+)
 
 
-def sweep_speeds(direction: Array, lowest: float, highest: float, count: int, drives: DriveParameters) -> Array:
+def sweep_speeds(
+    direction: Array, lowest: float, highest: float, count: int, drives: DriveParameters
+) -> Array:
     """Return the speeds of a direction's sweeps, logarithmically spaced and shifted to where the encoders beat least.
 
     Args:
@@ -205,22 +219,32 @@ _VALIDATION_WAVE = (0.02, -0.015, 0.02, -0.03, 0.03, -0.02, 0.025)  # rad, of th
 _LIMIT_MARGIN = 0.02  # rad, from a sweep to the joints' limits
 
 
-def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions | None = None) -> tuple[Experiment, ...]:
+def make_plan(
+    robot: RobotModel, drives: DriveParameters, options: PlanOptions | None = None
+) -> tuple[Experiment, ...]:
     """Plan all experiments for an arm."""
     options = options or PlanOptions()
     options.poses.check(robot)
     vectors = directions(robot.joint_names, drives.turning)
     for name in options.groups:
         if name not in vectors:
-            raise IdentificationError(f"unknown group {quoted(name)}; accepted: {', '.join(vectors)}")
+            raise IdentificationError(
+                f"unknown group {quoted(name)}; accepted: {', '.join(vectors)}"
+            )
     groups = [name for name in vectors if not options.groups or name in options.groups]
     plan = [_sweeps(robot, drives, options, name, vectors[name]) for name in groups]
-    plan += [_oscillations(robot, options, name, vectors[name]) for name in groups if "together" not in name]
+    plan += [
+        _oscillations(robot, options, name, vectors[name])
+        for name in groups
+        if "together" not in name
+    ]
     plan.append(_validation(robot, options))
     return tuple(plan)
 
 
-def _experiment(robot: RobotModel, name: str, kind: Kind, motion: Motion, sweeps: int, home: ArrayLike) -> Experiment:
+def _experiment(
+    robot: RobotModel, name: str, kind: Kind, motion: Motion, sweeps: int, home: ArrayLike
+) -> Experiment:
     _approach(robot, motion, home)
     return Experiment(file_stem(name), kind, motion.points(robot.joint_names), sweeps)
 
@@ -236,7 +260,9 @@ def _sweeps(
     fastest = _HIGHEST_SHARE * float(robot.max_velocity[direction != 0.0].min())
     low = robot.lower + _LIMIT_MARGIN
     high = robot.upper - _LIMIT_MARGIN
-    while np.any(np.abs(_sweep(Motion(np.zeros(direction.size)), direction, fastest, options)) > high - low):
+    while np.any(
+        np.abs(_sweep(Motion(np.zeros(direction.size)), direction, fastest, options)) > high - low
+    ):
         fastest *= 0.98
     speeds = sweep_speeds(direction, _LOWEST_SPEED, fastest, 2 * options.speeds, drives)
     there_and_back = speeds.reshape(-1, 2) * (1.0, -1.0)
@@ -252,7 +278,9 @@ def _sweeps(
             _approach(robot, motion, start)
             motion.rest(0.1)
             _sweep(motion, direction, speed, options)
-    return _experiment(robot, f"sliding_{name}", Kind.SLIDING, motion, len(speeds), options.poses.home.position)
+    return _experiment(
+        robot, f"sliding_{name}", Kind.SLIDING, motion, len(speeds), options.poses.home.position
+    )
 
 
 def _sweep(motion: Motion, direction: Array, speed: float, options: PlanOptions) -> Array:
@@ -262,21 +290,29 @@ def _sweep(motion: Motion, direction: Array, speed: float, options: PlanOptions)
     return motion.pose
 
 
-def _oscillations(robot: RobotModel, options: PlanOptions, name: str, direction: Array) -> Experiment:
+def _oscillations(
+    robot: RobotModel, options: PlanOptions, name: str, direction: Array
+) -> Experiment:
     """Return presliding cycles and micro-oscillations of a direction."""
     motion = Motion(options.poses.home.position)
     _approach(robot, motion, np.asarray(options.poses.sweeps.positions[0]) - 0.03 * direction)
     motion.rest(0.2)
     # Sliding first: the deflection of the bristles then does not depend on the earlier motion.
     motion.sweep(direction, 0.05, 0.6, _ACCELERATION)
-    for amplitude, tone_amplitude in zip(options.presliding_cycles, options.tone_amplitudes, strict=True):
+    for amplitude, tone_amplitude in zip(
+        options.presliding_cycles, options.tone_amplitudes, strict=True
+    ):
         # Each one fades out, which leaves the bristles near zero. Bristles under load would creep, due to vibrations
         # below the resolution of the encoders.
         motion.oscillate(direction, [amplitude], [1.0], 2.0)
-        motion.oscillate(direction, [tone_amplitude / len(_TONES)] * len(_TONES), _TONES, options.burst)
+        motion.oscillate(
+            direction, [tone_amplitude / len(_TONES)] * len(_TONES), _TONES, options.burst
+        )
     motion.rest(0.2)
     count = 2 * len(options.tone_amplitudes)
-    return _experiment(robot, f"presliding_{name}", Kind.PRESLIDING, motion, count, options.poses.home.position)
+    return _experiment(
+        robot, f"presliding_{name}", Kind.PRESLIDING, motion, count, options.poses.home.position
+    )
 
 
 def _validation(robot: RobotModel, options: PlanOptions) -> Experiment:
@@ -289,7 +325,9 @@ def _validation(robot: RobotModel, options: PlanOptions) -> Experiment:
         motion.rest(0.15)
     motion.oscillate(np.array(_VALIDATION_WAVE[: len(robot.joint_names)]), [1.0], [0.5], 6.0)
     motion.rest(0.2)
-    return _experiment(robot, "validation", Kind.VALIDATION, motion, len(poses) + 1, options.poses.home.position)
+    return _experiment(
+        robot, "validation", Kind.VALIDATION, motion, len(poses) + 1, options.poses.home.position
+    )
 
 
 def _approach(robot: RobotModel, motion: Motion, pose: ArrayLike) -> None:
@@ -340,12 +378,17 @@ class IdentificationBags:
         validation: Iterable[Path | str] = (),
     ) -> IdentificationBags:
         """Return bags given by their names."""
-        return cls(tuple(map(Path, sliding)), tuple(map(Path, presliding)), tuple(map(Path, validation)))
+        return cls(
+            tuple(map(Path, sliding)), tuple(map(Path, presliding)), tuple(map(Path, validation))
+        )
 
 
 def write_index(folder: Path, done: Sequence[Experiment]) -> None:
     """Write the uses of the bags recorded so far; after each experiment, so that a series may be interrupted."""
-    bags = {str(kind): [experiment.name for experiment in done if experiment.kind is kind] for kind in Kind}
+    bags = {
+        str(kind): [experiment.name for experiment in done if experiment.kind is kind]
+        for kind in Kind
+    }
     if not bags["excitation"]:
         del bags["excitation"]
     write_text(folder / INDEX, yaml_text(bags))
@@ -369,11 +412,16 @@ def write_emulated(folder: Path, friction: FrictionSet) -> None:
     """Write the friction that runs were made with, for comparison with the identified one."""
     elements = dict(zip(friction.names, friction.elements, strict=True))
     source = "the emulator made the runs beside this file with it"
-    write_text(folder / EMULATED, FrictionFile.of(elements, provenance="assumed", source=source).text())
+    write_text(
+        folder / EMULATED, FrictionFile.of(elements, provenance="assumed", source=source).text()
+    )
 
 
 def read_emulated(bags: Iterable[Path]) -> dict[str, FrictionElement]:
     """Return the friction that all bags were made with, by element; empty if it is not known for all of them."""
     places = {bag.absolute().parent / EMULATED for bag in bags}
-    frictions = [FrictionFile.read(place).elements.entries if place.is_file() else {} for place in sorted(places)]
+    frictions = [
+        FrictionFile.read(place).elements.entries if place.is_file() else {}
+        for place in sorted(places)
+    ]
     return frictions[0] if all(friction == frictions[0] for friction in frictions) else {}

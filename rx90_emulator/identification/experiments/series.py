@@ -20,19 +20,32 @@ from rx90_controller.trajectory.spline import interpolate
 from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.excitation import plan_excitation
 from rx90_emulator.identification.experiments.options import ExcitationOptions
-from rx90_emulator.identification.experiments.plan import TOPICS, Experiment, write_emulated, write_index
+from rx90_emulator.identification.experiments.plan import (
+    TOPICS,
+    Experiment,
+    write_emulated,
+    write_index,
+)
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
 
 def describe(plan: Sequence[Experiment], arm: PlannedArm, remarks: Iterable[str] = ()) -> str:
     """Return a table of the plan: runs, time, and the largest use of the arm's limits in each experiment."""
-    lines = [f"{'experiment':<30}{'runs':>6}{'time s':>9}   most of the limits of position, speed and torque"]
+    lines = [
+        f"{'experiment':<30}{'runs':>6}{'time s':>9}   most of the limits of position, speed and torque"
+    ]
     for experiment in plan:
         used = arm.check(experiment)
-        limits = (used["position"], max(used["speed"], used["motor speed"]), max(used["torque"], used["motor torque"]))
+        limits = (
+            used["position"],
+            max(used["speed"], used["motor speed"]),
+            max(used["torque"], used["motor torque"]),
+        )
         cells = (f"{share:.0%} ({whose})" for share, whose in limits)
-        lines.append(f"{experiment.name:<30}{experiment.sweeps:>6}{experiment.duration:>9.1f}   {'  '.join(cells)}")
+        lines.append(
+            f"{experiment.name:<30}{experiment.sweeps:>6}{experiment.duration:>9.1f}   {'  '.join(cells)}"
+        )
     runs = counted(sum(experiment.sweeps for experiment in plan), "run")
     total = sum(experiment.duration for experiment in plan)
     whole = f"{counted(len(plan), 'experiment')}, {runs}, {total:.0f} s of motion ({total / 60.0:.1f} min)"
@@ -65,14 +78,20 @@ def write_motions(folder: Path, plan: Sequence[Experiment], arm: PlannedArm, rat
         table = io.StringIO()
         np.savetxt(table, rows, fmt="%.12g", delimiter=",", header=",".join(head), comments="")
         files[folder / f"{experiment.name}.csv"] = table.getvalue().encode()
-        files[folder / f"{experiment.name}.yaml"] = yaml_text(message_content(names, points)).encode()
+        files[folder / f"{experiment.name}.yaml"] = yaml_text(
+            message_content(names, points)
+        ).encode()
     with made_folder(folder):
         write_all(files)
 
 
-def plan_with_progress(arm: PlannedArm, options: ExcitationOptions) -> tuple[tuple[Experiment, ...], list[str]]:
+def plan_with_progress(
+    arm: PlannedArm, options: ExcitationOptions
+) -> tuple[tuple[Experiment, ...], list[str]]:
     """Plan excitation runs with a progress line."""
-    with tqdm(desc="search", unit="step", disable=None, delay=1e-9) as bar:  # what is refused at once needs none
+    with tqdm(
+        desc="search", unit="step", disable=None, delay=1e-9
+    ) as bar:  # what is refused at once needs none
         return plan_excitation(arm, options, bar.update)
 
 
@@ -87,7 +106,10 @@ def run_on_engine(setup: Setup, experiment: Experiment, bag: Path) -> None:
     """
     topics = TOPICS[experiment.kind]
     result = simulate(
-        setup, experiment.points, duration=experiment.duration + _SETTLING_S, record_fast="motor_states" in topics
+        setup,
+        experiment.points,
+        duration=experiment.duration + _SETTLING_S,
+        record_fast="motor_states" in topics,
     )
     recorded = set(map(absolute, topics))
     series = [series for series in result.series.values() if series.topic in recorded]
@@ -102,7 +124,10 @@ def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | st
         Rx90Error: for every refusal and failure; complete bags stay.
     """
     # An interrupt ends the bar's line.
-    with made_folder(Path(folder)) as new, tqdm(plan, desc="engine", unit="experiment", disable=None) as bar:
+    with (
+        made_folder(Path(folder)) as new,
+        tqdm(plan, desc="engine", unit="experiment", disable=None) as bar,
+    ):
         for number, experiment in enumerate(bar):
             run_on_engine(setup, experiment, new / experiment.name)
             if not number:
@@ -111,7 +136,11 @@ def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | st
 
 
 def record_on_nodes(
-    setup: Setup, plan: Sequence[Experiment], folder: Path, controller: str = "rx90_controller", timeout: float = 60.0
+    setup: Setup,
+    plan: Sequence[Experiment],
+    folder: Path,
+    controller: str = "rx90_controller",
+    timeout: float = 60.0,
 ) -> None:
     """Run experiments on a controller node, each into a bag of a new folder; waits for the nodes for `timeout`, s."""
     with made_folder(folder):

@@ -63,15 +63,22 @@ def friction_text(result: FrictionIdentification) -> str:
     for name, curve in result.curves.items():
         size = np.abs(curve.velocity)
         speeds[name] = [digits(float(size.min()), 3), digits(float(size.max()), 3)]
-        fit[name] = {"rms": digits(curve.rms, 4), "share": digits(curve.share, 4), "chi2": digits(curve.chi2, 4)}
+        fit[name] = {
+            "rms": digits(curve.rms, 4),
+            "share": digits(curve.share, 4),
+            "chi2": digits(curve.chi2, 4),
+        }
     used = {use.bag.path.name: use.text(names) for use in result.sliding.usage}
     facts = FileFacts(
-        fallback=result.robot.fallback_name or ASSUMED, about={"speeds": speeds, "sweeps": used, "fit": fit}
+        fallback=result.robot.fallback_name or ASSUMED,
+        about={"speeds": speeds, "sweeps": used, "fit": fit},
     )
     return elements_text(names, result.elements, facts)
 
 
-def elements_text(names: Sequence[str], elements: Sequence[IdentifiedElement], facts: FileFacts = FileFacts()) -> str:
+def elements_text(
+    names: Sequence[str], elements: Sequence[IdentifiedElement], facts: FileFacts = FileFacts()
+) -> str:
     """Return the text of a file with these elements.
 
     Args:
@@ -83,7 +90,8 @@ def elements_text(names: Sequence[str], elements: Sequence[IdentifiedElement], f
     used = [bag for element in elements for bags in element.sources.values() for bag in bags]
     labels = {bag: f"bag_{number}" for number, bag in enumerate(dict.fromkeys(used), 1)}
     bags = {
-        label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": bag.recorded} for bag, label in labels.items()
+        label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": bag.recorded}
+        for bag, label in labels.items()
     }
     written = {}
     parameters = {}
@@ -130,7 +138,11 @@ def _provenance(
             content |= {"identifiable": False, "reason": estimate.reason, "taken_from": taken}
         elif estimate.deviation:  # otherwise given, not estimated
             interval = [digits(bound) for bound in estimate.bounds]
-            content |= {"provenance": "identified", "deviation": digits(estimate.deviation), "interval": interval}
+            content |= {
+                "provenance": "identified",
+                "deviation": digits(estimate.deviation),
+                "interval": interval,
+            }
         bags = [labels[bag] for bag in identified.sources.get(name, ())]
         parameters[name] = content | {"bags": bags, "date": date}
     return parameters

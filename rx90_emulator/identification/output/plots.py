@@ -23,23 +23,34 @@ DIFFERENCE: Final = COLOURS[6]
 _SPEED = "velocity of the element, rad/s"
 _INTERVAL = 1.96  # standard deviations, 95 %
 _RESIDUAL = "measured - identified"
-_DRAWN_SHARE = 20  # one of so many parts of a micro-oscillation is drawn: more loops would cover each other
+_DRAWN_SHARE = (
+    20  # one of so many parts of a micro-oscillation is drawn: more loops would cover each other
+)
 
 
-def compared(shown: figure, time: Array, recorded: tuple[str, Array], predicted: tuple[str, Array]) -> None:
+def compared(
+    shown: figure, time: Array, recorded: tuple[str, Array], predicted: tuple[str, Array]
+) -> None:
     """Draw a recorded and a predicted quantity with their names."""
     shown.line(time, recorded[1], name=recorded[0], color=_RECORDED, line_width=2.4)
     shown.line(time, predicted[1], name=predicted[0], color=_PREDICTED, line_width=1.1)
 
 
-def torques(torque: TorquePrediction, names: Sequence[str], unit: str, predicted: str = "predicted") -> list[figure]:
+def torques(
+    torque: TorquePrediction, names: Sequence[str], unit: str, predicted: str = "predicted"
+) -> list[figure]:
     """Show the first minute of measured and predicted torques, and their difference where a joint moves."""
     time = torque.time - torque.time[0]
     rows = slice(0, int(np.searchsorted(time, DRAWN_S, side="right")))
     figures = []
     for k, name in enumerate(names):
         shown = chart(name, "", unit, height=120)
-        compared(shown, time[rows], ("measured", torque.recorded[rows, k]), (predicted, torque.predicted[rows, k]))
+        compared(
+            shown,
+            time[rows],
+            ("measured", torque.recorded[rows, k]),
+            (predicted, torque.predicted[rows, k]),
+        )
         shown.line(time[rows], torque.difference[rows, k], name="difference", color=DIFFERENCE)
         figures.append(shown)
     over_one_x(figures, "time, s")
@@ -71,7 +82,15 @@ def friction_curve(name: str, curve: FrictionCurve, unit: str) -> list[figure]:
         line = _source(smallest, velocity, torque, deviation)
         above.line("x", "y", source=line, name="identified", color=INK)
         band = _source(smallest, velocity, np.zeros_like(torque), deviation)
-        below.varea("x", "low", "high", source=band, name="95 % of the curve", fill_color=GREY, fill_alpha=0.35)
+        below.varea(
+            "x",
+            "low",
+            "high",
+            source=band,
+            name="95 % of the curve",
+            fill_color=GREY,
+            fill_alpha=0.35,
+        )
     measured = _source(smallest, curve.velocity, curve.torque, curve.deviation)
     above.scatter("x", "y", source=measured, name="measured", color=COLOURS[0], size=5)
     residuals = _source(smallest, curve.velocity, curve.torque - curve.fitted, curve.deviation)
@@ -86,7 +105,9 @@ def _show_speeds(shown: figure, smallest: float, largest: float, unit: str) -> N
     ticks = np.concatenate([-decades[::-1], [0.0], decades])
     places = np.arcsinh(ticks / smallest).tolist()
     shown.xaxis.ticker = FixedTicker(ticks=places)
-    shown.xaxis.major_label_overrides = {place: f"{tick:g}" for place, tick in zip(places, ticks, strict=True)}
+    shown.xaxis.major_label_overrides = {
+        place: f"{tick:g}" for place, tick in zip(places, ticks, strict=True)
+    }
     (hover,) = shown.hover
     hover.tooltips = [("", "$name"), (_SPEED, "@velocity{%.6g}"), (f"torque, {unit}", "@y{%.6g}")]
     hover.formatters = {"@velocity": "printf", "@y": "printf"}
@@ -110,8 +131,16 @@ def _source(smallest: float, velocity: Array, torque: Array, deviation: Array) -
 def presliding_loop(name: str, position: Array, torques: Mapping[str, Array]) -> figure:
     """Show torques against position in the middle of a micro-motion: measured and simulated."""
     count = len(position)
-    part = slice((_DRAWN_SHARE - 1) * count // (2 * _DRAWN_SHARE), (_DRAWN_SHARE + 1) * count // (2 * _DRAWN_SHARE))
+    part = slice(
+        (_DRAWN_SHARE - 1) * count // (2 * _DRAWN_SHARE),
+        (_DRAWN_SHARE + 1) * count // (2 * _DRAWN_SHARE),
+    )
     shown = chart(name, "position, µrad", "friction torque, Nm", height=260)
     measured, simulated = torques
-    compared(shown, position[part] * 1e6, (measured, torques[measured][part]), (simulated, torques[simulated][part]))
+    compared(
+        shown,
+        position[part] * 1e6,
+        (measured, torques[measured][part]),
+        (simulated, torques[simulated][part]),
+    )
     return shown

@@ -19,7 +19,11 @@ from rx90_common.report.page import render_page
 from rx90_emulator.identification.estimates import ParameterEstimate
 from rx90_emulator.identification.output import plots, summary
 from rx90_emulator.identification.records import in_unit
-from rx90_emulator.identification.result import ExcitationIdentification, FrictionIdentification, Identification
+from rx90_emulator.identification.result import (
+    ExcitationIdentification,
+    FrictionIdentification,
+    Identification,
+)
 from rx90_emulator.identification.validation.prediction import Validation
 
 
@@ -48,7 +52,9 @@ def check_page(checks: Sequence[Validation], friction_file: str) -> str:
         friction_file: name of the file.
     """
     unit = checks[0].unit
-    return _render("friction_check.html.j2", unit=unit, checks=_checks(checks), friction_file=friction_file)
+    return _render(
+        "friction_check.html.j2", unit=unit, checks=_checks(checks), friction_file=friction_file
+    )
 
 
 def identification_page(result: Identification, date: datetime, files: Sequence[str]) -> str:
@@ -78,7 +84,9 @@ def identification_page(result: Identification, date: datetime, files: Sequence[
         lacking=summary.lacking(names, result.elements),
         checks=_checks(result.validations),
         fitted=[(run, plots.torques(run, run.names, result.unit)) for run in fitted],
-        curves=[plots.friction_curve(name, curve, result.unit) for name, curve in result.curves.items()],
+        curves=[
+            plots.friction_curve(name, curve, result.unit) for name, curve in result.curves.items()
+        ],
         loops=[plots.presliding_loop(joint, *loop) for joint, loop in loops.items()],
     )
 
@@ -88,5 +96,7 @@ def _columns(rows: dict[str, dict[str, ParameterEstimate]]) -> list[tuple[str, s
     columns = []
     for column in summary.friction_columns(rows):
         name = column.rstrip("+-")
-        columns.append((column, FRICTION_UNITS.get(name) or FRICTION_UNITS.get(f"{name}_positive", "")))
+        columns.append(
+            (column, FRICTION_UNITS.get(name) or FRICTION_UNITS.get(f"{name}_positive", ""))
+        )
     return columns

@@ -30,7 +30,12 @@ from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.bodies import central
-from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate, digits
+from rx90_emulator.identification.estimates import (
+    LARGEST,
+    IdentifiedElement,
+    ParameterEstimate,
+    digits,
+)
 from rx90_emulator.identification.fitted import ASSUMED
 from rx90_emulator.identification.output.friction_file import FileFacts, elements_text
 from rx90_emulator.identification.output.summary import bodies_warnings, in_currents
@@ -54,7 +59,10 @@ def marked(block: Mapping[str, Any], new: Mapping[str, Identified]) -> dict[str,
     about: dict[str, Any] = {}
     for word in ("provenance", "source"):
         given = block.get(word)
-        words = {key: given.get(key, given.get("others")) if isinstance(given, dict) else given for key in content}
+        words = {
+            key: given.get(key, given.get("others")) if isinstance(given, dict) else given
+            for key in content
+        }
         words |= {key: getattr(identified, word) for key, identified in new.items()}
         stated = {key: said for key, said in words.items() if said}
         (first, *others) = set(words.values())
@@ -66,7 +74,9 @@ def marked(block: Mapping[str, Any], new: Mapping[str, Identified]) -> dict[str,
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
-def edited_urdf(urdf: str, bodies: Mapping[str, Array | None], held: Collection[str], remark: str) -> str:
+def edited_urdf(
+    urdf: str, bodies: Mapping[str, Array | None], held: Collection[str], remark: str
+) -> str:
     """Return a URDF with other inertials; all else, comments too, is as it was.
 
     Args:
@@ -100,7 +110,11 @@ def _inertial(pseudo: Array) -> ET.Element:
     ET.SubElement(inertial, "origin", xyz=" ".join(map(repr, center.tolist())), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=repr(float(mass)))
     moments = inertia[np.triu_indices(3)].tolist()
-    ET.SubElement(inertial, "inertia", {key: repr(moment) for key, moment in zip(_MOMENTS, moments, strict=True)})
+    ET.SubElement(
+        inertial,
+        "inertia",
+        {key: repr(moment) for key, moment in zip(_MOMENTS, moments, strict=True)},
+    )
     ET.indent(inertial)
     return inertial
 
@@ -143,7 +157,10 @@ def folder_base(arm: RigidArm, urdf: Path) -> tuple[FolderBase | None, str]:
     alone = "URDF and friction file alone, no robot folder: "
     if not arm.identified.all():
         followed = listed(np.array(arm.names)[~arm.identified].tolist())
-        return None, f"{alone}{followed} only followed the recording; the simulation needs friction of every joint"
+        return (
+            None,
+            f"{alone}{followed} only followed the recording; the simulation needs friction of every joint",
+        )
     held = tuple(name for name in all_joints(urdf) if name not in arm.names)
     try:
         robot = load_robot(urdf, held=held, replaced=True)
@@ -192,7 +209,10 @@ def robot_texts(
         joints=_joints(result),
         notes={new: result.element_notes[old] for old, new in noted if old in result.element_notes},
         about={
-            "bandwidths": {"position": float(bandwidths.position), "torque": float(bandwidths.torque)},
+            "bandwidths": {
+                "position": float(bandwidths.position),
+                "torque": float(bandwidths.torque),
+            },
             "speeds": {name: [digits(low, 3), digits(high, 3)] for name, (low, high) in speeds},
         },
         unit=result.unit,
@@ -211,7 +231,9 @@ def robot_texts(
         FILES["urdf"]: edited_urdf(urdf.read_text(encoding="utf-8"), bodies, held, remark),
         FILES["friction"]: elements_text(names, result.elements, facts),
     }
-    return texts if base is None else texts | _folder_texts(result, base, names, texts[FILES["urdf"]])
+    return (
+        texts if base is None else texts | _folder_texts(result, base, names, texts[FILES["urdf"]])
+    )
 
 
 def _origin(result: ExcitationIdentification) -> str:
@@ -226,21 +248,32 @@ def _folder_texts(
     new = _drive_values(result)
     if base.files is None:
         options = result.robot.options
-        given = {("transmission", "gear"): options.gear, ("motor", "torque_constant"): options.torque_constant}
+        given = {
+            ("transmission", "gear"): options.gear,
+            ("motor", "torque_constant"): options.torque_constant,
+        }
         for (block, key), values in given.items():
             if options.gear is not None and values is not None:
                 source = f"as given with --{key.replace('_', '-')}"
                 new[block, key] = Identified([float(value) for value in values], "assumed", source)
-        fastest = np.max([np.abs(run.acceleration).max(axis=0) for run in result.problem.runs], axis=0)
+        fastest = np.max(
+            [np.abs(run.acceleration).max(axis=0) for run in result.problem.runs], axis=0
+        )
         rotors = np.asarray(result.consistency.inertias.rotors)
-        drives, controller = assumed_files(base.robot, pin.buildModelFromXML(urdf), base.turning, rotors, new, fastest)
+        drives, controller = assumed_files(
+            base.robot, pin.buildModelFromXML(urdf), base.turning, rotors, new, fastest
+        )
     else:
         drives = dict(read_yaml(base.files.drives))
         # The model for its feed-forward is the folder's own arm, not the one named in the basis.
-        controller = {key: value for key, value in read_yaml(base.files.controller).items() if key != "model"}
+        controller = {
+            key: value for key, value in read_yaml(base.files.controller).items() if key != "model"
+        }
     for (block, key), identified in new.items():
         drives[block] = marked(drives[block], {key: identified})
-    controller["feed_forward"] = marked(controller["feed_forward"], _compensation(result.elements, names, base))
+    controller["feed_forward"] = marked(
+        controller["feed_forward"], _compensation(result.elements, names, base)
+    )
     texts = {
         FILES["drives"]: _DRIVES_HEAD + yaml_text(drives),
         FILES["controller"]: _CONTROLLER_HEAD + yaml_text(controller),
@@ -263,13 +296,23 @@ def _drive_values(result: ExcitationIdentification) -> dict[tuple[str, str], Ide
         }
         if not place or (kind == "Ia" and not columns.rotors):
             continue
-        amounts = [float(inertias.parameters[place[name]]) if name in place else 0.0 for name in names]
+        amounts = [
+            float(inertias.parameters[place[name]]) if name in place else 0.0 for name in names
+        ]
         if min(amounts) < 0.0:
             worst = names[int(np.argmin(amounts))]
-            raise IdentificationError(f"the {key} of {worst} was identified as {min(amounts):.3g}; accepted: >= 0")
+            raise IdentificationError(
+                f"the {key} of {worst} was identified as {min(amounts):.3g}; accepted: >= 0"
+            )
         shared = listed(name for name, number in place.items() if not inertias.alone[number])
-        how = f"; of {shared} only the sum with the links, divided near to what was known" if shared else ""
-        values[block, key] = Identified([digits(amount, 12) for amount in amounts], "identified", _origin(result) + how)
+        how = (
+            f"; of {shared} only the sum with the links, divided near to what was known"
+            if shared
+            else ""
+        )
+        values[block, key] = Identified(
+            [digits(amount, 12) for amount in amounts], "identified", _origin(result) + how
+        )
     return values
 
 
@@ -286,7 +329,9 @@ def _compensation(
     viscous = []
     for elements, speed in zip(against, base.robot.max_velocity.tolist(), strict=True):
         coulomb.append(sum(0.5 * (law.tau_c.positive + law.tau_c.negative) for law in elements))
-        viscous.append(sum(law.c2 * speed**law.alpha for law in elements) / speed ** elements[0].alpha)
+        viscous.append(
+            sum(law.c2 * speed**law.alpha for law in elements) / speed ** elements[0].alpha
+        )
     exponent = [elements[0].alpha for elements in against]
     source = "the identified friction of each joint"
     if base.turning.sums:
@@ -305,7 +350,9 @@ def _joints(result: ExcitationIdentification) -> dict[str, dict[str, float]]:
     """
     numbers = result.consistency.inertias.parameters.tolist()
     values = dict(zip(result.problem.columns.names, numbers, strict=True))
-    kinds = {"offset": "offset"} | ({} if result.robot.setup else {"rotor_inertia": "Ia", "spring": "k"})
+    kinds = {"offset": "offset"} | (
+        {} if result.robot.setup else {"rotor_inertia": "Ia", "spring": "k"}
+    )
     joints = {}
     for number, name in enumerate(result.arm.names, 1):
         stated = {key: digits(values.get(f"{kind}_{number}", 0.0)) for key, kind in kinds.items()}
@@ -333,7 +380,12 @@ def parameters_text(result: ExcitationIdentification, date: datetime) -> str:
         "date": date.isoformat(timespec="seconds"),
         "versions": versions(),
         "bags": [
-            {"path": str(bag.path), "use": use, "sha256": bag.sha256, "duration": digits(bag.duration)}
+            {
+                "path": str(bag.path),
+                "use": use,
+                "sha256": bag.sha256,
+                "duration": digits(bag.duration),
+            }
             for use, bag in result.bags
         ],
         "base_parameters": {
@@ -346,16 +398,31 @@ def parameters_text(result: ExcitationIdentification, date: datetime) -> str:
             for parameter in result.base
         },
         "friction": {
-            name: {parameter: _estimate(estimate) for parameter, estimate in element.estimates.items()}
+            name: {
+                parameter: _estimate(estimate) for parameter, estimate in element.estimates.items()
+            }
             for name, element in zip(result.arm.element_names, result.elements, strict=True)
         },
-        "fit": {run.source.path.name: {"relative": digits(run.total_share)} for run in result.torques},
+        "fit": {
+            run.source.path.name: {"relative": digits(run.total_share)} for run in result.torques
+        },
         "validation": {Path(check.source).name: _validation(check) for check in result.validations},
-        "bodies": {"distance": digits(bodies.distance), "relative_error": digits(result.consistency.shares[1])},
-        "remarks": [*in_currents(result), *result.notes, *result.warnings, *bodies_warnings(result)],
+        "bodies": {
+            "distance": digits(bodies.distance),
+            "relative_error": digits(result.consistency.shares[1]),
+        },
+        "remarks": [
+            *in_currents(result),
+            *result.notes,
+            *result.warnings,
+            *bodies_warnings(result),
+        ],
         "correlation": {
             "names": list(fitted.names),
-            "matrix": [[None if math.isnan(share) else round(share, 3) for share in row] for row in correlation],
+            "matrix": [
+                [None if math.isnan(share) else round(share, 3) for share in row]
+                for row in correlation
+            ],
         },
     }
     check_numbers(content, LARGEST)
@@ -371,6 +438,10 @@ def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
 def _validation(check: Validation) -> dict[str, Any]:
     """Return the verdict, and the torque error of all joints by each prediction."""
     torques = {"by_files": check.torque, "simplest": check.simplest}
-    shares = {name: {"relative": digits(run.total_share)} for name, run in torques.items() if run is not None}
+    shares = {
+        name: {"relative": digits(run.total_share)}
+        for name, run in torques.items()
+        if run is not None
+    }
     fitted = {} if check.fitted is None else {"relative": digits(check.fitted.total_share)}
     return {"confirmed": check.passed, **fitted, **shares}

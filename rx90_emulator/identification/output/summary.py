@@ -11,9 +11,17 @@ from typing import TypeVar
 
 from rx90_common.estimation.law import Part
 from rx90_common.friction import FrictionElement
-from rx90_emulator.identification.estimates import FrictionCurve, IdentifiedElement, ParameterEstimate
+from rx90_emulator.identification.estimates import (
+    FrictionCurve,
+    IdentifiedElement,
+    ParameterEstimate,
+)
 from rx90_emulator.identification.records import in_unit
-from rx90_emulator.identification.result import ExcitationIdentification, FrictionIdentification, Identification
+from rx90_emulator.identification.result import (
+    ExcitationIdentification,
+    FrictionIdentification,
+    Identification,
+)
 from rx90_emulator.identification.validation.prediction import Validation
 from rx90_emulator.identification.validation.verdict import verdict
 
@@ -32,7 +40,8 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     lines = [head, *rows]
     widths = [2 + max(map(len, column)) for column in zip(*lines, strict=True)]
     return [
-        f"{name:<{widths[0]}}" + "".join(f"{cell:>{width}}" for cell, width in zip(cells, widths[1:], strict=True))
+        f"{name:<{widths[0]}}"
+        + "".join(f"{cell:>{width}}" for cell, width in zip(cells, widths[1:], strict=True))
         for name, *cells in lines
     ]
 
@@ -68,7 +77,9 @@ def _friction_lines(result: Identification) -> list[str]:
     for name, estimates in shown.items():
         rows.append([name, *(_with_deviation(estimates.get(column)) for column in columns)])
         if name in truth:
-            rows.append(["  true", *(f"{true_value(truth[name], column):.6g}" for column in columns)])
+            rows.append(
+                ["  true", *(f"{true_value(truth[name], column):.6g}" for column in columns)]
+            )
     lines = table(["element", *columns], rows)
     nothing = [name for name in names if name not in shown]
     if nothing:
@@ -97,18 +108,27 @@ def _sweep_lines(result: FrictionIdentification) -> list[str]:
     """Return how well the curves fit, and what was used of each bag of sweeps."""
     fits = [f"fit of {name}: {fit_text(curve)}" for name, curve in result.curves.items()]
     uses = [f"{use.bag.path}: {use.text(result.arm.element_names)}" for use in result.sliding.usage]
-    return [*fits, f"recorded over described weight: {', '.join(map(' '.join, scale_texts(result)))}", *uses]
+    return [
+        *fits,
+        f"recorded over described weight: {', '.join(map(' '.join, scale_texts(result)))}",
+        *uses,
+    ]
 
 
 def scale_texts(result: FrictionIdentification) -> list[tuple[str, str]]:
     """Return how many times the torque that the described bodies need was recorded, by joint, or that none can tell."""
     scales = result.sliding.scales.items()
-    return [(joint, "cannot be told" if math.isnan(scale) else f"{scale:.3g}") for joint, scale in scales]
+    return [
+        (joint, "cannot be told" if math.isnan(scale) else f"{scale:.3g}")
+        for joint, scale in scales
+    ]
 
 
 def fit_text(curve: FrictionCurve) -> str:
     """Return the goodness of fit of an element's curve in words."""
-    return f"residual {curve.rms:.3g} Nm RMS, {curve.share:.2%} of its friction, chi2 {curve.chi2:.3g}"
+    return (
+        f"residual {curve.rms:.3g} Nm RMS, {curve.share:.2%} of its friction, chi2 {curve.chi2:.3g}"
+    )
 
 
 def _excitation_lines(result: ExcitationIdentification) -> list[str]:
@@ -117,27 +137,49 @@ def _excitation_lines(result: ExcitationIdentification) -> list[str]:
     if followed := ", ".join(result.robot.followed):
         lines.append(f"not identified, along their recorded motion: {followed}")
     if unknown := ", ".join(result.undetermined):
-        lines.append(f"not determined by these runs: {unknown}; the files take them from the description")
+        lines.append(
+            f"not determined by these runs: {unknown}; the files take them from the description"
+        )
     runs = [("fitted", run) for run in result.torques]
     for check in result.validations:
-        predictions = (("unseen", check.fitted), ("simplest", check.simplest), ("files", check.torque))
+        predictions = (
+            ("unseen", check.fitted),
+            ("simplest", check.simplest),
+            ("files", check.torque),
+        )
         runs += [(use, run) for use, run in predictions if run is not None]
     shares = [
-        [f"{use} {run.source.path.name}", *(number(value, ".1%") for value in (*run.share, run.total_share))]
+        [
+            f"{use} {run.source.path.name}",
+            *(number(value, ".1%") for value in (*run.share, run.total_share)),
+        ]
         for use, run in runs
     ]
     lines += table(["torque RMS", *result.torques[0].names, "all"], shares)
     bodies = [
-        (moved.joint, *(f"{before:.3g} / {after:.3g}" for before, after in (moved.mass, moved.moment, moved.inertia)))
+        (
+            moved.joint,
+            *(
+                f"{before:.3g} / {after:.3g}"
+                for before, after in (moved.mass, moved.moment, moved.inertia)
+            ),
+        )
         for moved in result.bodies
     ]
-    lines += table(("moved: described / files", "mass, kg", "first moment, kg m", "inertia, kg m^2"), bodies)
+    lines += table(
+        ("moved: described / files", "mass, kg", "first moment, kg m", "inertia, kg m^2"), bodies
+    )
     bandwidths = result.problem.runs[0].bandwidths
-    lines.append(f"low-pass: {bandwidths.position:.3g} Hz, torques {bandwidths.torque:.3g} Hz: {bandwidths.reason}")
+    lines.append(
+        f"low-pass: {bandwidths.position:.3g} Hz, torques {bandwidths.torque:.3g} Hz: {bandwidths.reason}"
+    )
     lines += [note if note.startswith("warning") else f"recording: {note}" for note in result.notes]
     lines.append(f"model: {kept_parts(result)}")
     lines += filter(None, (result.consistency.text, result.consistency.open_text))
-    return [*lines, *(f"warning: {warning}" for warning in (*result.warnings, *bodies_warnings(result)))]
+    return [
+        *lines,
+        *(f"warning: {warning}" for warning in (*result.warnings, *bodies_warnings(result))),
+    ]
 
 
 def in_currents(result: Identification) -> list[str]:
@@ -155,9 +197,13 @@ def kept_parts(result: ExcitationIdentification) -> str:
     names = result.arm.element_names
     texts = ["Coulomb + viscous"]
     for part in Part:
-        having = [name for name, law in zip(names, result.fitted.laws, strict=True) if part in law.parts]
+        having = [
+            name for name, law in zip(names, result.fitted.laws, strict=True) if part in law.parts
+        ]
         if having:
-            texts.append(f"{part.value}: {'all' if len(having) == len(names) else ', '.join(having)}")
+            texts.append(
+                f"{part.value}: {'all' if len(having) == len(names) else ', '.join(having)}"
+            )
     return " + ".join(texts)
 
 
@@ -168,7 +214,11 @@ def bodies_warnings(result: ExcitationIdentification) -> list[str]:
     below = []
     for parameter in result.base:
         estimate = parameter.estimate
-        if parameter.group in rotors and estimate.identifiable and estimate.value < -_NEGATIVE * estimate.deviation:
+        if (
+            parameter.group in rotors
+            and estimate.identifiable
+            and estimate.value < -_NEGATIVE * estimate.deviation
+        ):
             below.append(f"{rotors[parameter.group]} {' +- '.join(estimate.texts())} kg m^2")
     if below:
         warnings.append(
@@ -202,8 +252,13 @@ def check_summary(checks: Sequence[Validation]) -> str:
     """Return a table of the joints and the verdict for each bag that a friction file was compared with."""
     lines = []
     for check in checks:
-        values = zip(check.names, check.rms, check.rms_share, check.worst, check.worst_share, strict=True)
-        rows = [(name, number(a), number(b, ".2%"), number(c), number(d, ".2%")) for name, a, b, c, d in values]
+        values = zip(
+            check.names, check.rms, check.rms_share, check.worst, check.worst_share, strict=True
+        )
+        rows = [
+            (name, number(a), number(b, ".2%"), number(c), number(d, ".2%"))
+            for name, a, b, c, d in values
+        ]
         lines += table(("joint", "RMS, Nm", "of torque", "worst, Nm", "of largest"), rows)
         lines += [f"alarm: {alarm}" for alarm in check.alarms]
         lines += [f"recording: {text}" for text in check.notes]
@@ -216,13 +271,21 @@ def friction_rows(
 ) -> dict[str, dict[str, ParameterEstimate]]:
     """Return the estimates of each element of which something is identified, in the order of tables."""
     rows = {name: _by_column(identified) for name, identified in zip(names, elements, strict=True)}
-    return {name: row for name, row in rows.items() if any(estimate.identifiable for estimate in row.values())}
+    return {
+        name: row
+        for name, row in rows.items()
+        if any(estimate.identifiable for estimate in row.values())
+    }
 
 
 def friction_columns(rows: Mapping[str, Mapping[str, ParameterEstimate]]) -> list[str]:
     """Return the parameters that are identified of any element."""
-    known = {column for row in rows.values() for column, estimate in row.items() if estimate.identifiable}
-    return [column for name in _REPORTED for column in (name, f"{name}+", f"{name}-") if column in known]
+    known = {
+        column for row in rows.values() for column, estimate in row.items() if estimate.identifiable
+    }
+    return [
+        column for name in _REPORTED for column in (name, f"{name}+", f"{name}-") if column in known
+    ]
 
 
 def true_value(element: FrictionElement, column: str) -> float:
@@ -242,7 +305,11 @@ def _by_column(identified: IdentifiedElement) -> dict[str, ParameterEstimate]:
         elif f"{name}_positive" in estimates:
             positive = estimates[f"{name}_positive"]
             negative = estimates[f"{name}_negative"]
-            unknown = not positive.identifiable and not negative.identifiable and positive.reason == negative.reason
+            unknown = (
+                not positive.identifiable
+                and not negative.identifiable
+                and positive.reason == negative.reason
+            )
             if unknown or positive == negative:
                 columns[name] = positive
             else:
@@ -250,7 +317,9 @@ def _by_column(identified: IdentifiedElement) -> dict[str, ParameterEstimate]:
     return columns
 
 
-def lacking(names: Sequence[str], elements: Sequence[IdentifiedElement]) -> list[tuple[str, str, tuple[str, ...]]]:
+def lacking(
+    names: Sequence[str], elements: Sequence[IdentifiedElement]
+) -> list[tuple[str, str, tuple[str, ...]]]:
     """Return unidentified parameters with their elements and reasons, grouped by elements."""
     reasons: dict[str, tuple[tuple[str, str], ...]] = {}  # by parameter: elements with the reasons
     for element, identified in zip(names, elements, strict=True):
@@ -259,8 +328,14 @@ def lacking(names: Sequence[str], elements: Sequence[IdentifiedElement]) -> list
                 reasons[name] = (*reasons.get(name, ()), (element, estimate.reason))
     groups = []
     for parameters, pairs in together(reasons.items()):
-        whose = "all elements" if len(pairs) == len(names) else ", ".join(element for element, _ in pairs)
+        whose = (
+            "all elements"
+            if len(pairs) == len(names)
+            else ", ".join(element for element, _ in pairs)
+        )
         texts = together(pairs)
-        words = [reason if len(texts) == 1 else f"{elements}: {reason}" for elements, reason in texts]
+        words = [
+            reason if len(texts) == 1 else f"{elements}: {reason}" for elements, reason in texts
+        ]
         groups.append((parameters, whose, tuple(words)))
     return groups

@@ -23,7 +23,12 @@ from rx90_common.estimation.elements import FrictionRows
 from rx90_common.estimation.law import Law, Part, Speeds
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.records import stretches
-from rx90_emulator.identification.rows.filtering import LEAST_SPEED, MOVING, USUAL_SPEED, FilteredRun
+from rx90_emulator.identification.rows.filtering import (
+    LEAST_SPEED,
+    MOVING,
+    USUAL_SPEED,
+    FilteredRun,
+)
 from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
 
 TIME_BLOCKS = 20
@@ -74,7 +79,9 @@ class ExcitationProblem:
     regressor: Array
 
     @classmethod
-    def of(cls, arm: RigidArm, runs: Sequence[FilteredRun], *, rotors: bool = True) -> ExcitationProblem:
+    def of(
+        cls, arm: RigidArm, runs: Sequence[FilteredRun], *, rotors: bool = True
+    ) -> ExcitationProblem:
         """Stack the equations of runs.
 
         Args:
@@ -107,7 +114,9 @@ class ExcitationProblem:
         )
 
     @classmethod
-    def without_columns(cls, arm: RigidArm, runs: Sequence[FilteredRun], *, rotors: bool = True) -> ExcitationProblem:
+    def without_columns(
+        cls, arm: RigidArm, runs: Sequence[FilteredRun], *, rotors: bool = True
+    ) -> ExcitationProblem:
         """Return the rows of runs with their torque and no regressor; arguments as in `of`."""
         moving = _moving(arm, runs)
         acts = (arm.element_matrix != 0.0) & moving
@@ -115,11 +124,17 @@ class ExcitationProblem:
         for number, run in enumerate(runs):
             resting, passes = element_states(run, arm.element_matrix)
             joint, place = np.nonzero((~(resting @ acts) & arm.identified & moving).T)
-            rows.append(np.column_stack([np.full(len(joint), number), joint, place, (passes @ acts)[place, joint]]))
+            rows.append(
+                np.column_stack(
+                    [np.full(len(joint), number), joint, place, (passes @ acts)[place, joint]]
+                )
+            )
         table = np.concatenate(rows)
         if not len(table):
             names = ", ".join(arm.names)
-            raise IdentificationError(f"no joint moves in any run: {names}; accepted: runs in which the joints move")
+            raise IdentificationError(
+                f"no joint moves in any run: {names}; accepted: runs in which the joints move"
+            )
         columns = StandardColumns(arm, rotors=rotors)
         position = np.concatenate([run.position for run in runs])
         base = BaseGroups.of(columns, np.where(moving, np.nan, np.median(position, axis=0)))
@@ -153,7 +168,9 @@ class ExcitationProblem:
     @cached_property
     def sample(self) -> Index:
         """Return each row's index among the filtered samples of all runs, one run after the other, shape (r,)."""
-        return np.asarray(np.cumsum([0, *(len(run.rows) for run in self.runs)])[self.run] + self.place)
+        return np.asarray(
+            np.cumsum([0, *(len(run.rows) for run in self.runs)])[self.run] + self.place
+        )
 
     @cached_property
     def time(self) -> Array:
@@ -163,7 +180,10 @@ class ExcitationProblem:
     @cached_property
     def velocity(self) -> Array:
         """Return the elements' velocities at the rows, rad/s, shape (r, n_el)."""
-        return np.concatenate([run.velocity[run.rows] for run in self.runs])[self.sample] @ self.arm.element_matrix.T
+        return (
+            np.concatenate([run.velocity[run.rows] for run in self.runs])[self.sample]
+            @ self.arm.element_matrix.T
+        )
 
     @cached_property
     def block(self) -> Index:
@@ -177,7 +197,9 @@ class ExcitationProblem:
         blocks: list[Index] = []
         starts: list[int] = []
         for number, phase in enumerate(phases):
-            same = next((k for k in range(number) if _same_motion(self.runs[k], self.runs[number])), None)
+            same = next(
+                (k for k in range(number) if _same_motion(self.runs[k], self.runs[number])), None
+            )
             new = 1 + max((int(block.max(initial=-1)) for block in blocks), default=-1)
             starts.append(new if same is None else starts[same])
             blocks.append(np.asarray(phase // max(length, 1.0), dtype=np.intp) + starts[-1])
@@ -189,12 +211,16 @@ class ExcitationProblem:
         Args:
             along: for each run c joint torques at its full rate, shape (m, n, c).
         """
-        filtered = np.concatenate([run.parallel(values) for run, values in zip(self.runs, along, strict=True)])
+        filtered = np.concatenate(
+            [run.parallel(values) for run, values in zip(self.runs, along, strict=True)]
+        )
         return filtered[self.sample, self.joint]
 
     def friction_rows(self) -> FrictionRows:
         """Return the rows for a fit of friction laws, with the rigid body as linear parameters."""
-        elements = [ExcitationElement.of(self, number) for number in range(len(self.arm.element_names))]
+        elements = [
+            ExcitationElement.of(self, number) for number in range(len(self.arm.element_names))
+        ]
         group = self.run * len(self.arm.names) + self.joint
         group = np.unique(group, return_inverse=True)[1]
         return FrictionRows(self.torque, self.regressor, elements, group, self.block)
@@ -205,8 +231,12 @@ class ExcitationProblem:
         regressor = np.zeros((len(self), len(leading)))
         for number, run in enumerate(self.runs):
             for samples, rows in run.blocks():
-                values = self.columns.torque(run.position[samples], run.velocity[samples], run.acceleration[samples])
-                here = np.flatnonzero((self.run == number) & (self.place >= rows.start) & (self.place < rows.stop))
+                values = self.columns.torque(
+                    run.position[samples], run.velocity[samples], run.acceleration[samples]
+                )
+                here = np.flatnonzero(
+                    (self.run == number) & (self.place >= rows.start) & (self.place < rows.stop)
+                )
                 filtered = run.parallel(values[:, :, leading])
                 regressor[here] = filtered[self.place[here] - rows.start, self.joint[here]]
         return replace(self, regressor=regressor)
@@ -215,7 +245,9 @@ class ExcitationProblem:
 def _moving(arm: RigidArm, runs: Sequence[FilteredRun]) -> Mask:
     """Return which joints move in any run, shape (n,)."""
     usual = np.max([np.quantile(np.abs(run.velocity), USUAL_SPEED, axis=0) for run in runs], axis=0)
-    return np.asarray((usual > MOVING * usual[arm.identified].max(initial=0.0)) & (usual > LEAST_SPEED))
+    return np.asarray(
+        (usual > MOVING * usual[arm.identified].max(initial=0.0)) & (usual > LEAST_SPEED)
+    )
 
 
 def _phase(run: FilteredRun) -> Index:
@@ -284,7 +316,11 @@ def _slow_stretches(velocity: Array, threshold: float) -> tuple[Mask, Mask]:
         inner = float(np.mean(np.abs(velocity[start:stop]) < 0.25 * threshold))
         whole = start > 0 and stop < len(velocity)
         # A single sample has no share.
-        through = whole and velocity[start - 1] * velocity[stop] < 0.0 and (inner <= PAUSE_SHARE or stop - start == 1)
+        through = (
+            whole
+            and velocity[start - 1] * velocity[stop] < 0.0
+            and (inner <= PAUSE_SHARE or stop - start == 1)
+        )
         (passes if through else resting)[start:stop] = True
     return resting, passes
 
@@ -315,13 +351,17 @@ class ExcitationElement:
         share = problem.arm.element_matrix[number]
         rows = np.flatnonzero(share[problem.joint])
         speed = np.abs(problem.velocity[rows, number])
-        low, high = np.percentile(speed, (SPEED_TAIL, 100.0 - SPEED_TAIL)) if len(rows) else (0.0, 0.0)
+        low, high = (
+            np.percentile(speed, (SPEED_TAIL, 100.0 - SPEED_TAIL)) if len(rows) else (0.0, 0.0)
+        )
         distances = [1e-7]
         for run in problem.runs:
             acceleration = float(np.sqrt(np.mean((run.acceleration @ share) ** 2)))
             distances.append(VISIBLE_PRESLIDING * 0.5 * acceleration / run.bandwidths.torque**2)
         speeds = Speeds(float(low), float(high), max(distances))
-        return cls(problem.runs, share, rows, problem.sample[rows], share[problem.joint[rows]], speeds)
+        return cls(
+            problem.runs, share, rows, problem.sample[rows], share[problem.joint[rows]], speeds
+        )
 
     def torque(self, law: Law, x: Array) -> tuple[Array, Array]:
         """Return the filtered torque and its derivatives."""
@@ -330,13 +370,17 @@ class ExcitationElement:
             velocity = run.velocity @ self.share
             torque, slopes = law.curve(velocity, x)
             if Part.BRISTLE in law.parts:
-                torque, slopes = _with_bristle(law, run.position @ self.share, 1.0 / run.rate, x, slopes)
+                torque, slopes = _with_bristle(
+                    law, run.position @ self.share, 1.0 / run.rate, x, slopes
+                )
             parts.append(run.parallel(np.column_stack([torque, slopes])))
         filtered = np.concatenate(parts)[self.place] * self.factor[:, None]
         return filtered[:, 0], filtered[:, 1:]
 
 
-def _with_bristle(law: Law, position: Array, step: float, x: Array, steady: Array) -> tuple[Array, Array]:
+def _with_bristle(
+    law: Law, position: Array, step: float, x: Array, steady: Array
+) -> tuple[Array, Array]:
     """Return torque and derivatives along a motion, with the dry torque of a bristle in place of the steady one."""
     velocity = np.diff(position, prepend=position[:1]) / step
     dry, slopes = law.along(velocity, step, x)

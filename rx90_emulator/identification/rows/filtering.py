@@ -94,14 +94,22 @@ class Bandwidths(NamedTuple):
         """
         if given is not None:
             if not 0.0 < given < math.inf:
-                raise IdentificationError(f"--bandwidth is {given:g} Hz; accepted: a number above 0")
+                raise IdentificationError(
+                    f"--bandwidth is {given:g} Hz; accepted: a number above 0"
+                )
             return cls(given, given / POSITION_OVER_TORQUE)
         bands = np.median([record_bands(record) for record in records], axis=0)
         duration = sum(float(record.time[-1] - record.time[0]) for record in records)
-        rows = POSITION_OVER_TORQUE * MOST_ROWS / (ROWS_PER_HZ * duration * int(moving_joints(records).sum()))
+        rows = (
+            POSITION_OVER_TORQUE
+            * MOST_ROWS
+            / (ROWS_PER_HZ * duration * int(moving_joints(records).sum()))
+        )
         least = cls._of_motion(records, float(bands[0]))
         limits = {
-            "the widest in which the positions' noise leaves the accelerations clean": float(bands[1]),
+            "the widest in which the positions' noise leaves the accelerations clean": float(
+                bands[1]
+            ),
             f"that of {MOST_ROWS} rows": rows,
             f"{MOST_OF_RATE:g} of the sampling rate": _highest(records),
         }
@@ -109,12 +117,16 @@ class Bandwidths(NamedTuple):
         position = limits[reason]
         if position <= least.position:
             return least
-        return cls(position, position / POSITION_OVER_TORQUE, f"{reason}; the torque gets a third of it")
+        return cls(
+            position, position / POSITION_OVER_TORQUE, f"{reason}; the torque gets a third of it"
+        )
 
     @classmethod
     def of_motion(cls, records: Sequence[JointRecord]) -> Bandwidths:
         """Return the bandwidths in which errors are stated: twenty times the motion's band."""
-        return cls._of_motion(records, float(np.median([record_bands(record)[0] for record in records])))
+        return cls._of_motion(
+            records, float(np.median([record_bands(record)[0] for record in records]))
+        )
 
     @classmethod
     def _of_motion(cls, records: Sequence[JointRecord], motion: float) -> Bandwidths:
@@ -123,7 +135,9 @@ class Bandwidths(NamedTuple):
         reason = f"{POSITION_OVER_MOTION:g} times the motion's band of {motion:.3g} Hz"
         if position < wanted:
             reason += f", no more than {MOST_OF_RATE:g} of the sampling rate"
-        return cls(position, position / POSITION_OVER_TORQUE, f"{reason}; the torque gets a third of it")
+        return cls(
+            position, position / POSITION_OVER_TORQUE, f"{reason}; the torque gets a third of it"
+        )
 
     def at_most(self, highest: float, of: str) -> Bandwidths:
         """Return these with a positions' bandwidth of at most `highest`, Hz, which `of` names."""
@@ -135,7 +149,9 @@ class Bandwidths(NamedTuple):
 
 def moving_joints(records: Sequence[JointRecord]) -> Mask:
     """Return which joints move in any of the records, shape (n,); a joint that trembles with the others rests."""
-    usual = np.max([np.quantile(np.abs(record.velocity), USUAL_SPEED, axis=0) for record in records], axis=0)
+    usual = np.max(
+        [np.quantile(np.abs(record.velocity), USUAL_SPEED, axis=0) for record in records], axis=0
+    )
     moving = (usual > MOVING * usual.max()) & (usual > LEAST_SPEED)
     if not moving.any():
         raise IdentificationError(
@@ -156,7 +172,9 @@ def record_bands(record: JointRecord) -> tuple[float, float]:
     start, stop = max(_pieces(record.time), key=lambda piece: piece[1] - piece[0])
     if stop - start < LEAST_SAMPLES:
         samples = counted(stop - start, "sample")
-        raise IdentificationError(f"{record.source}: {samples} without a gap; accepted: {LEAST_SAMPLES} or more")
+        raise IdentificationError(
+            f"{record.source}: {samples} without a gap; accepted: {LEAST_SAMPLES} or more"
+        )
     time = record.time[start:stop]
     rate = _rate(time)
     even = _even(time, rate)
@@ -174,7 +192,9 @@ def record_bands(record: JointRecord) -> tuple[float, float]:
     total = np.sum(velocity / np.maximum(velocity[-1], tiny), axis=1)
     acceleration = np.sum(power * frequency[:, None] ** 4, axis=0) * (frequency[1] - frequency[0])
     clean = (5.0 * ACCELERATION_NOISE**2 * acceleration / np.maximum(floor, tiny)) ** 0.2
-    return float(frequency[max(1, np.searchsorted(total, MOTION_POWER * total[-1]))]), float(np.median(clean))
+    return float(frequency[max(1, np.searchsorted(total, MOTION_POWER * total[-1]))]), float(
+        np.median(clean)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,10 +253,15 @@ class FilteredRun:
         size = max(1, _BLOCK_SAMPLES // self.down)
         for first in range(0, count, size):
             last = min(first + size, count)
-            yield slice(first * self.down, (last - 1) * self.down + len(self.taps)), slice(first, last)
+            yield (
+                slice(first * self.down, (last - 1) * self.down + len(self.taps)),
+                slice(first, last),
+            )
 
 
-def filter_record(record: JointRecord, bandwidths: Bandwidths, torque_lead: float = 0.0) -> tuple[FilteredRun, ...]:
+def filter_record(
+    record: JointRecord, bandwidths: Bandwidths, torque_lead: float = 0.0
+) -> tuple[FilteredRun, ...]:
     """Return the runs of a record: gaps that are too long to be bridged separate them.
 
     Args:
@@ -251,7 +276,9 @@ def filter_record(record: JointRecord, bandwidths: Bandwidths, torque_lead: floa
             f"{record.source}: bandwidths of {bandwidths.position:.4g} and {bandwidths.torque:.4g} Hz at "
             f"{rate:.4g} samples per second; accepted: up to {0.45 * rate:.4g} and {0.22 * rate:.4g} Hz"
         )
-    edge = math.ceil(1.5 * rate / bandwidths.position) + _SPLINE_END  # three time constants of the slowest pole
+    edge = (
+        math.ceil(1.5 * rate / bandwidths.position) + _SPLINE_END
+    )  # three time constants of the slowest pole
     shortest = 2 * edge + _kaiser(rate, bandwidths.torque)[0] + 1
     pieces = _pieces(record.time, BRIDGED_PERIODS / bandwidths.position)
     whole = [slice(*piece) for piece in pieces if piece[1] - piece[0] >= shortest]
@@ -263,7 +290,9 @@ def filter_record(record: JointRecord, bandwidths: Bandwidths, torque_lead: floa
     return tuple(_filtered(record, piece, bandwidths, edge, torque_lead) for piece in whole)
 
 
-def _filtered(record: JointRecord, piece: slice, bandwidths: Bandwidths, edge: int, torque_lead: float) -> FilteredRun:
+def _filtered(
+    record: JointRecord, piece: slice, bandwidths: Bandwidths, edge: int, torque_lead: float
+) -> FilteredRun:
     time = record.time[piece]
     rate = _rate(time)
     even = _even(time, rate)
@@ -290,7 +319,9 @@ def _filtered(record: JointRecord, piece: slice, bandwidths: Bandwidths, edge: i
 def _rate(time: Array) -> float:
     """Return samples per second, gaps excluded."""
     if len(time) < 2:
-        raise IdentificationError(f"a run of {counted(len(time), 'sample')}; accepted: a second of motion or more")
+        raise IdentificationError(
+            f"a run of {counted(len(time), 'sample')}; accepted: a second of motion or more"
+        )
     steps = np.diff(time)
     usual = steps[steps <= GAP_PERIODS * np.median(steps)]
     return float(len(usual) / usual.sum())
@@ -299,7 +330,11 @@ def _rate(time: Array) -> float:
 def gaps(time: Array) -> Index:
     """Return the indices of samples after a gap of more than 3.5 periods."""
     steps = np.diff(time)
-    return np.flatnonzero(steps > GAP_PERIODS * np.median(steps)) + 1 if len(steps) else np.empty(0, dtype=np.intp)
+    return (
+        np.flatnonzero(steps > GAP_PERIODS * np.median(steps)) + 1
+        if len(steps)
+        else np.empty(0, dtype=np.intp)
+    )
 
 
 def _pieces(time: Array, bridged: float = 0.0) -> list[tuple[int, int]]:
@@ -315,10 +350,14 @@ def _bridged(time: Array, values: Array) -> tuple[Array, Array]:
     """
     for k in reversed(gaps(time).tolist()):
         length = time[k] - time[k - 1]
-        missing = np.linspace(0.0, 1.0, max(2, round(length / float(np.median(np.diff(time))))) + 1)[1:-1]
+        missing = np.linspace(
+            0.0, 1.0, max(2, round(length / float(np.median(np.diff(time))))) + 1
+        )[1:-1]
         reach = max(4, len(missing))
         near = slice(max(0, k - reach), k + reach)
-        cubic = np.polynomial.polynomial.polyfit((time[near] - time[k - 1]) / length, values[near], 3)
+        cubic = np.polynomial.polynomial.polyfit(
+            (time[near] - time[k - 1]) / length, values[near], 3
+        )
         between = np.polynomial.polynomial.polyval(missing, cubic).T
         values = np.insert(values, k, between, axis=0)
         time = np.insert(time, k, time[k - 1] + length * missing)
@@ -326,7 +365,9 @@ def _bridged(time: Array, values: Array) -> tuple[Array, Array]:
 
 
 def _even(time: Array, rate: float) -> Array:
-    return np.asarray(time[0] + np.arange(math.floor((time[-1] - time[0]) * rate + 1e-6) + 1) / rate)
+    return np.asarray(
+        time[0] + np.arange(math.floor((time[-1] - time[0]) * rate + 1e-6) + 1) / rate
+    )
 
 
 def _resampled(time: Array, values: Array, even: Array, degree: int) -> Array:
@@ -364,9 +405,13 @@ def low_pass(values: Array, taps: Array, down: int = 1) -> Array:
     """
     count = max(0, (len(values) - len(taps)) // down + 1)
     columns = np.ascontiguousarray(values.reshape(len(values), -1).T)
-    before = -(len(taps) - 1) % down  # zeros that put a result of the filter bank on the first whole length
+    before = (
+        -(len(taps) - 1) % down
+    )  # zeros that put a result of the filter bank on the first whole length
     first = (len(taps) - 1 + before) // down
-    filtered = upfirdn(taps, np.pad(columns, ((0, 0), (before, 0))), 1, down)[:, first : first + count]
+    filtered = upfirdn(taps, np.pad(columns, ((0, 0), (before, 0))), 1, down)[
+        :, first : first + count
+    ]
     return np.asarray(filtered.T.reshape(count, *values.shape[1:]))
 
 
@@ -378,7 +423,9 @@ def recording_notes(records: Sequence[JointRecord], bandwidths: Bandwidths) -> t
         steps = np.array([record.time[k] - record.time[k - 1] for k in gaps(record.time).tolist()])
         short = int(np.count_nonzero(steps <= longest))
         if short:
-            notes.append(f"{record.source.name}: {counted(short, 'gap')} of up to {longest:.3g} s interpolated")
+            notes.append(
+                f"{record.source.name}: {counted(short, 'gap')} of up to {longest:.3g} s interpolated"
+            )
         if short < len(steps):
             long = counted(len(steps) - short, "gap")
             notes.append(f"{record.source.name}: {long} of up to {steps.max():.3g} s split the run")

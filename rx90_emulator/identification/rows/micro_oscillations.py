@@ -33,7 +33,9 @@ LOWEST_RATE = 500.0
 """Samples per second below which the damping of the bristles is not separable from a delay."""
 INERTIA_SD = 0.05
 """Prior standard deviation of the errors of the mass matrix, in units of sqrt(M_jj M_ii)."""
-_START_SD = 0.3  # prior standard deviation of a start deflection, in units of that of steady sliding
+_START_SD = (
+    0.3  # prior standard deviation of a start deflection, in units of that of steady sliding
+)
 _BLOCK = 8  # steps in a block mean
 _BAND_HZ = (2.0, 50.0)  # compared band: below are creep and weight, above is noise
 _DETECTION_HZ = (2.0, 60.0)
@@ -43,13 +45,19 @@ _MAX_EXCURSION = 4e-3  # rad within a span; beyond it the bristles slide, and dr
 _MIN_OSCILLATION = 5e-6  # rad, RMS; smaller ones are below the resolution of usual encoders
 _MIN_MOTION_S = 0.8
 _MAX_MOTION_S = 10.0
-_MIN_OWN_TORQUE = 2.0  # least ratio to the torque of the other joints' accelerations: more than a reaction
-_MIN_STEP_S = 0.00025  # least step of the simulation: torques that were recorded faster are averaged over it
+_MIN_OWN_TORQUE = (
+    2.0  # least ratio to the torque of the other joints' accelerations: more than a reaction
+)
+_MIN_STEP_S = (
+    0.00025  # least step of the simulation: torques that were recorded faster are averaged over it
+)
 _LOW_PASS_HZ = 200.0  # above which positions contain little but the encoder's noise
 _MAX_GAP_S = 3e-3  # longest gap that is interpolated or, if longer,
 _MAX_GAP_SAMPLES = 2.5
 _TRANSIENT_S = 0.01  # on both sides of a gap that its transient reaches through the low-pass
-_SPIKE_BLOCK_S = 1.0  # over which spikes are compared with the range: in a small motion small spikes show
+_SPIKE_BLOCK_S = (
+    1.0  # over which spikes are compared with the range: in a small motion small spikes show
+)
 _DIFFERENCE = 1e-4  # of the parameters, for difference quotients
 _DISTANCES = (3e-5, 1e-4, 3e-4, 1e-3)  # rad of presliding, tau_c / c0, that a search begins with
 _DAMPING_S = 1e-3  # s, c1 / c0 that it begins with
@@ -80,7 +88,11 @@ def _window(longest: int, step: float) -> tuple[Array, Array, Mask]:
     """
     length = next(n for n in range(longest, 0, -1) if next_fast_len(n, real=True) == n)
     frequency = rfftfreq(length, _BLOCK * step)
-    return tukey(length, _TAPER_SHARE), frequency, (frequency >= _BAND_HZ[0]) & (frequency <= _BAND_HZ[1])
+    return (
+        tukey(length, _TAPER_SHARE),
+        frequency,
+        (frequency >= _BAND_HZ[0]) & (frequency <= _BAND_HZ[1]),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +148,9 @@ class MicroMotion:
         return float(np.max(0.5 * (high - low) / break_away))
 
 
-def find_micro_motions(record: JointRecord, arm: RigidArm, groups: Sequence[JointGroup]) -> list[list[MicroMotion]]:
+def find_micro_motions(
+    record: JointRecord, arm: RigidArm, groups: Sequence[JointGroup]
+) -> list[list[MicroMotion]]:
     """Return the micro-oscillations of each group of joints that its own motors make, or an empty list.
 
     Args:
@@ -186,7 +200,9 @@ def find_micro_motions(record: JointRecord, arm: RigidArm, groups: Sequence[Join
 def _driven(motion: MicroMotion, others: Sequence[MicroMotion]) -> bool:
     """Return whether the joints of a motion are moved by their motors, and not by the reactions of other joints."""
     begin, end = motion.interval
-    together = [near.driven for near in others if near.interval[0] < end and begin < near.interval[1]]
+    together = [
+        near.driven for near in others if near.interval[0] < end and begin < near.interval[1]
+    ]
     return motion.driven >= min(_MIN_OWN_TORQUE, max(together))
 
 
@@ -247,7 +263,10 @@ class BristleRows:
         coulomb = np.array([element.tau_c.positive for element in self.elements])
         free = np.zeros(len(self.motions) * len(self.elements))
         stiffness = [coulomb / distance for distance in _DISTANCES]
-        return [np.append(np.log(np.column_stack([c0, _DAMPING_S * c0])).ravel(), free) for c0 in stiffness]
+        return [
+            np.append(np.log(np.column_stack([c0, _DAMPING_S * c0])).ravel(), free)
+            for c0 in stiffness
+        ]
 
     def torque(self, x: Array) -> tuple[Array, Array]:
         """Return the elements' spectra at the joints, in the order of the rows, and their derivatives by x."""
@@ -258,14 +277,24 @@ class BristleRows:
         for number, traces in enumerate(self._traces):
             torque = np.zeros((traces[0].size, len(self.inputs[0])))
             slopes = np.zeros((*torque.shape, len(x)))
-            for n, (trace, (c0, c1), start) in enumerate(zip(traces, values, starts[number], strict=True)):
+            for n, (trace, (c0, c1), start) in enumerate(
+                zip(traces, values, starts[number], strict=True)
+            ):
                 here = trace.spectrum(c0, start)
-                stiffer = (trace.spectrum(c0 * (1.0 + _DIFFERENCE), start) - here) @ (1.0, c1) / _DIFFERENCE
-                deflected = (trace.spectrum(c0, start + _DIFFERENCE) - here) @ (1.0, c1) / _DIFFERENCE
+                stiffer = (
+                    (trace.spectrum(c0 * (1.0 + _DIFFERENCE), start) - here)
+                    @ (1.0, c1)
+                    / _DIFFERENCE
+                )
+                deflected = (
+                    (trace.spectrum(c0, start + _DIFFERENCE) - here) @ (1.0, c1) / _DIFFERENCE
+                )
                 torque += np.outer(here @ (1.0, c1) + trace.viscous_spectrum, self.inputs[n])
                 slopes[:, :, 2 * n] = np.outer(stiffer, self.inputs[n])
                 slopes[:, :, 2 * n + 1] = np.outer(c1 * here[:, 1], self.inputs[n])
-                slopes[:, :, self.bristles.stop + number * len(traces) + n] = np.outer(deflected, self.inputs[n])
+                slopes[:, :, self.bristles.stop + number * len(traces) + n] = np.outer(
+                    deflected, self.inputs[n]
+                )
             torques.append(torque.ravel())
             derivatives.append(slopes.reshape(-1, len(x)))
         return np.concatenate(torques), np.concatenate(derivatives)
@@ -317,7 +346,9 @@ class _Trace:
     @cached_property
     def spectrum(self) -> Callable[[float, float], Array]:
         """Return a function for the spectra of `bristles`, (r, 2); difference quotients ask for the same ones again."""
-        return lru_cache(16)(lambda c0, start: band_spectrum(self.bristles(c0, start), self.step)[0])
+        return lru_cache(16)(
+            lambda c0, start: band_spectrum(self.bristles(c0, start), self.step)[0]
+        )
 
     @cached_property
     def _sliding_torque(self) -> Array:
@@ -341,12 +372,16 @@ def _on_grid(record: JointRecord) -> tuple[float, Array, Array, Array, Mask]:
         )
     size = max(1, round(_SPIKE_BLOCK_S / step))
     values = np.hstack([record.position, record.torque])
-    rows = ~np.concatenate([spikes(values[first : first + size]) for first in range(0, len(values), size)])
+    rows = ~np.concatenate(
+        [spikes(values[first : first + size]) for first in range(0, len(values), size)]
+    )
     there = record.time[rows]
     time = there[0] + step * np.arange(round((there[-1] - there[0]) / step) + 1)
     known = np.ones(len(time), dtype=np.bool_)
     for k in np.flatnonzero(np.diff(there) > max(_MAX_GAP_S, _MAX_GAP_SAMPLES * step)):
-        known[slice(*np.searchsorted(time, (there[k] - _TRANSIENT_S, there[k + 1] + _TRANSIENT_S)))] = False
+        known[
+            slice(*np.searchsorted(time, (there[k] - _TRANSIENT_S, there[k + 1] + _TRANSIENT_S)))
+        ] = False
     # Set-points are constant between updates, which makes images of an oscillation near multiples of their rate;
     # without the low-pass, coarser steps would alias them onto it.
     sections = butter(4, min(_LOW_PASS_HZ, 0.4 / step), fs=1.0 / step, output="sos")

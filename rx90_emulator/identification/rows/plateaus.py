@@ -29,10 +29,16 @@ _NOISE_SD = 6.0  # standard deviations of the noise of a change that are no chan
 _MOST_NOISE = 0.75  # of the velocity, which keeps its sign
 _NOISE_WINDOW_S = 2.0  # over which the noise is estimated, from
 _NOISE_SAMPLES = 21
-_MAD_TO_DEVIATION = 1.4826  # and that of a change over that of its second difference, for white noise of positions:
+_MAD_TO_DEVIATION = (
+    1.4826  # and that of a change over that of its second difference, for white noise of positions:
+)
 _CHANGE_SHARE = np.sqrt(6.0 / 70.0)
-_SETTLE_S = 0.25  # for the servo loops after a change of velocity: their integrators' pole is near 20 /s
-_SETTLE_SHARE = 0.5  # of a plateau, within which bristles must settle for the element to count as sliding
+_SETTLE_S = (
+    0.25  # for the servo loops after a change of velocity: their integrators' pole is near 20 /s
+)
+_SETTLE_SHARE = (
+    0.5  # of a plateau, within which bristles must settle for the element to count as sliding
+)
 _TREND_BLOCKS = 8  # of a plateau, to which a parabola is fitted
 _MAX_BEND = 0.02  # of the velocity, change of the parabola over the plateau, if
 _BEND_SD = 3.0  # standard deviations of the blocks' scatter or more
@@ -121,7 +127,12 @@ def find_plateaus(record: JointRecord, elements: Array) -> tuple[list[Plateau], 
             else:
                 used[rows] = True
                 plateaus.append(Plateau(_blocks(record, elements, rows), sliding))
-    speeds = np.array([np.abs(elements @ velocity(record, plateau.rows)) * plateau.sliding for plateau in plateaus])
+    speeds = np.array(
+        [
+            np.abs(elements @ velocity(record, plateau.rows)) * plateau.sliding
+            for plateau in plateaus
+        ]
+    )
     ranges = np.zeros((len(elements), 2))
     for e in np.flatnonzero(speeds.any(axis=0)) if plateaus else ():
         ranges[e] = speeds[speeds[:, e] > 0.0, e].min(), speeds[:, e].max()
@@ -181,7 +192,9 @@ def _blocks(record: JointRecord, elements: Array, rows: slice) -> Index:
     duration = float(record.time[rows.stop - 1] - record.time[rows.start])
     travel = record.position[rows.stop - 1] - record.position[rows.start]
     way = float(np.abs(travel @ elements.T).max())
-    number = max(1, min(int(max(duration / _BLOCK_S, way / _BLOCK_TRAVEL)), count // _BLOCK_SAMPLES))
+    number = max(
+        1, min(int(max(duration / _BLOCK_S, way / _BLOCK_TRAVEL)), count // _BLOCK_SAMPLES)
+    )
     edges = rows.start + np.arange(number + 1) * count // number
     return np.column_stack([edges[:-1], edges[1:]])
 

@@ -61,7 +61,12 @@ class StandardColumns:
         """Return the parameters of the arm's description, shape (P,), for a prior. Offsets are 0."""
         inverse = np.linalg.inv(self.arm.coupling)
         rotors = np.diag(inverse.T @ self.arm.rotor @ inverse) * self.rotors
-        parts = self.arm.inertial, rotors, self.arm.spring[self.springs], np.zeros(len(self.arm.names))
+        parts = (
+            self.arm.inertial,
+            rotors,
+            self.arm.spring[self.springs],
+            np.zeros(len(self.arm.names)),
+        )
         return np.concatenate(parts)
 
 
@@ -69,7 +74,11 @@ _RANDOM_MOTIONS = 60  # each gives as many equations as there are joints
 _SEED = 20100
 _INDEPENDENT_SHARE = 1e-5  # least part of an independent column outside the others' space; 1.5708 for pi/2 leaves less
 _MIN_COEFFICIENT = 1e-5  # in a group, for the same reason
-_REGROUPED_KINDS = ("m_", "mz_", "Iyy_")  # kinds that join other groups by Khalil's convention: they come last
+_REGROUPED_KINDS = (
+    "m_",
+    "mz_",
+    "Iyy_",
+)  # kinds that join other groups by Khalil's convention: they come last
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,15 +117,21 @@ class BaseGroups:
         size = np.linalg.norm(matrix, axis=0)
         basis = np.zeros((len(matrix), 0))
         chosen = []
-        for k in sorted(range(len(names)), key=lambda k: (names[k].startswith(_REGROUPED_KINDS), k)):
+        for k in sorted(
+            range(len(names)), key=lambda k: (names[k].startswith(_REGROUPED_KINDS), k)
+        ):
             remainder = matrix[:, k] - basis @ (basis.T @ matrix[:, k])
-            remainder = remainder - basis @ (basis.T @ remainder)  # once more: rounding of the first pass
+            remainder = remainder - basis @ (
+                basis.T @ remainder
+            )  # once more: rounding of the first pass
             norm = float(np.linalg.norm(remainder))
             if size[k] > _INDEPENDENT_SHARE * size.max() and norm > _INDEPENDENT_SHARE * size[k]:
                 basis = np.column_stack([basis, remainder / norm])
                 chosen.append(k)
         leading = sorted(chosen)
-        combination = np.asarray(np.linalg.lstsq(matrix[:, leading], matrix, rcond=None)[0], dtype=np.float64)
+        combination = np.asarray(
+            np.linalg.lstsq(matrix[:, leading], matrix, rcond=None)[0], dtype=np.float64
+        )
         combination[np.abs(combination) < _MIN_COEFFICIENT] = 0.0
         combination[:, leading] = np.eye(len(leading))
         return cls(names, tuple(leading), combination)
@@ -126,7 +141,9 @@ class BaseGroups:
         """Return short names, shape (b,): the leading parameter, with an R if others belong to its group (Khalil)."""
         alone = (np.count_nonzero(self.combination, axis=1) == 1).tolist()
         leading = [self.standard[k] for k in self.leading]
-        return tuple(n if one else n.replace("_", "R_", 1) for n, one in zip(leading, alone, strict=True))
+        return tuple(
+            n if one else n.replace("_", "R_", 1) for n, one in zip(leading, alone, strict=True)
+        )
 
     @property
     def groups(self) -> tuple[str, ...]:

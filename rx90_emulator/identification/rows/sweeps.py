@@ -30,7 +30,9 @@ from rx90_emulator.identification.rows.plateaus import BagUse, Plateau, find_pla
 from rx90_emulator.identification.sanity import LAGS
 
 _TRIMMED = 0.15  # of a block's samples at either end of their order: spikes
-_LONGEST_S = 2.0  # plateau that weighs more than shorter ones: beyond it the mean has what all samples share
+_LONGEST_S = (
+    2.0  # plateau that weighs more than shorter ones: beyond it the mean has what all samples share
+)
 _INDEPENDENT = 1e-9
 
 
@@ -57,7 +59,9 @@ class Blocks:
     duration: Array
 
 
-def find_blocks(records: Sequence[JointRecord], elements: Array) -> tuple[Blocks, tuple[BagUse, ...]]:
+def find_blocks(
+    records: Sequence[JointRecord], elements: Array
+) -> tuple[Blocks, tuple[BagUse, ...]]:
     """Return the block means of all plateaus of records, and the account of each record.
 
     Args:
@@ -115,9 +119,13 @@ def _block_means(record: JointRecord, plateau: Plateau) -> Array:
 def _later_means(record: JointRecord, plateau: Plateau, sums: Array) -> Array:
     """Return a plateau's means of the torque at all lags, shape (l, b, n), by the sums of it, shape (m + 1, n)."""
     rows = plateau.rows
-    lag = np.clip(np.round(LAGS / record.period), -rows.start, len(record.time) - rows.stop).astype(np.intp)
+    lag = np.clip(np.round(LAGS / record.period), -rows.start, len(record.time) - rows.stop).astype(
+        np.intp
+    )
     begin, end = plateau.blocks.T
-    return np.asarray((sums[end + lag[:, None]] - sums[begin + lag[:, None]]) / (end - begin)[:, None])
+    return np.asarray(
+        (sums[end + lag[:, None]] - sums[begin + lag[:, None]]) / (end - begin)[:, None]
+    )
 
 
 @dataclass(frozen=True, eq=False)

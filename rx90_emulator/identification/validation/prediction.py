@@ -32,7 +32,12 @@ from rx90_emulator.identification.options import (
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
-from rx90_emulator.identification.rows.filtering import Bandwidths, FilteredRun, filter_record, recording_notes
+from rx90_emulator.identification.rows.filtering import (
+    Bandwidths,
+    FilteredRun,
+    filter_record,
+    recording_notes,
+)
 from rx90_emulator.identification.sanity import Recorded, alarms
 from rx90_emulator.identification.sliding import SlidingFit
 from rx90_emulator.identification.validation.verdict import (
@@ -50,7 +55,9 @@ from rx90_emulator.measured_runs.compare import (
 
 _MAX_WEIGHT_SD = 0.05  # standard deviation over RMS torque up to which a joint's error of the weights is corrected
 _BRISTLE_STEP_S = 1e-3  # s, longest step of constant velocity
-_MAX_BANDWIDTH_OVER_RATE = 0.3  # of the positions, if a bag is slower than those of the identification
+_MAX_BANDWIDTH_OVER_RATE = (
+    0.3  # of the positions, if a bag is slower than those of the identification
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,10 +93,20 @@ class Validation:
     fitted: RunTorques | None = None
     simplest: RunTorques | None = None
 
-    rms = property(attrgetter("torque.rms"), doc="RMS torque difference, Nm, shape (n,); NaN for a joint at rest.")
-    worst = property(attrgetter("torque.worst"), doc="Largest torque difference, Nm, shape (n,); NaN as in `rms`.")
-    rms_share = property(attrgetter("torque.rms_share"), doc="RMS difference over RMS recorded torque, shape (n,).")
-    worst_share = property(attrgetter("torque.worst_share"), doc="Largest difference over largest torque, shape (n,).")
+    rms = property(
+        attrgetter("torque.rms"),
+        doc="RMS torque difference, Nm, shape (n,); NaN for a joint at rest.",
+    )
+    worst = property(
+        attrgetter("torque.worst"),
+        doc="Largest torque difference, Nm, shape (n,); NaN as in `rms`.",
+    )
+    rms_share = property(
+        attrgetter("torque.rms_share"), doc="RMS difference over RMS recorded torque, shape (n,)."
+    )
+    worst_share = property(
+        attrgetter("torque.worst_share"), doc="Largest difference over largest torque, shape (n,)."
+    )
 
     @property
     def largest_share(self) -> float:
@@ -116,13 +133,21 @@ class Validation:
         if self.fitted is not None:
             where = f" by the files{where}"
             criteria += torque_criteria(
-                self.names, self.fitted.total_share, self.fitted.rms_share, limits.total, limits.torque
+                self.names,
+                self.fitted.total_share,
+                self.fitted.rms_share,
+                limits.total,
+                limits.torque,
             )
         criteria += torque_criteria(
             self.names, torque.total_share, torque.rms_share, limits.total, limits.torque, where
         )
         if math.isfinite(limits.worst_torque):
-            criteria.append(largest("largest torque difference", self.names, torque.worst_share, limits.worst_torque))
+            criteria.append(
+                largest(
+                    "largest torque difference", self.names, torque.worst_share, limits.worst_torque
+                )
+            )
         if len(self.tip_distance):
             criteria.append(Criterion("tip worst", self.tip_worst, limits.tip, unit="µm"))
         return tuple(criteria)
@@ -147,15 +172,25 @@ class Validation:
         return all(criterion.passed for criterion in self.criteria)
 
 
-def filtered_runs(record: JointRecord, robot: RecordedRobot, bandwidths: Bandwidths) -> tuple[FilteredRun, ...]:
+def filtered_runs(
+    record: JointRecord, robot: RecordedRobot, bandwidths: Bandwidths
+) -> tuple[FilteredRun, ...]:
     """Return the filtered runs of a record."""
     # A torque of this project's plant belongs to the tick that ends at its stamp; a real arm's does not.
-    lead = 0.5 * robot.plant_period if robot.plant_period is not None and _is_simulated(record, robot) else 0.0
+    lead = (
+        0.5 * robot.plant_period
+        if robot.plant_period is not None and _is_simulated(record, robot)
+        else 0.0
+    )
     return filter_record(record, bandwidths, lead)
 
 
 def recorded_equations(
-    records: Sequence[JointRecord], robot: RecordedRobot, bandwidths: Bandwidths, *, rotors: bool = True
+    records: Sequence[JointRecord],
+    robot: RecordedRobot,
+    bandwidths: Bandwidths,
+    *,
+    rotors: bool = True,
 ) -> ExcitationProblem:
     """Return the equations of records behind filters, stacked."""
     runs = [run for record in records for run in filtered_runs(record, robot, bandwidths)]
@@ -165,7 +200,10 @@ def recorded_equations(
 @lru_cache(8)  # the same records are filtered several times
 def _is_simulated(record: JointRecord, robot: RecordedRobot) -> bool:
     """Return whether a bag has the set-points of this project's controller, which real arms and tables do not have."""
-    return not is_table(record.source) and read_setpoints(record.source, record.names, robot.zero) is not None
+    return (
+        not is_table(record.source)
+        and read_setpoints(record.source, record.names, robot.zero) is not None
+    )
 
 
 def validation_bandwidths(record: JointRecord, chosen: Bandwidths | None) -> Bandwidths:
@@ -173,11 +211,14 @@ def validation_bandwidths(record: JointRecord, chosen: Bandwidths | None) -> Ban
     if chosen is None:
         return Bandwidths.of_motion([record])
     return chosen.at_most(
-        _MAX_BANDWIDTH_OVER_RATE / record.period, f"{_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate"
+        _MAX_BANDWIDTH_OVER_RATE / record.period,
+        f"{_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate",
     )
 
 
-def written_torque(problem: ExcitationProblem, arm: RigidArm, elements: Sequence[FrictionElement]) -> Array:
+def written_torque(
+    problem: ExcitationProblem, arm: RigidArm, elements: Sequence[FrictionElement]
+) -> Array:
     """Return the torque of a problem's rows by the values in the files, filtered like the recorded one, Nm, shape (r,).
 
     Args:
@@ -186,14 +227,19 @@ def written_torque(problem: ExcitationProblem, arm: RigidArm, elements: Sequence
         elements: one for each of the arm's.
     """
     along = (
-        drive_torque(arm, elements, (run.position, run.velocity, run.acceleration), 1.0 / run.rate)[:, :, None]
+        drive_torque(arm, elements, (run.position, run.velocity, run.acceleration), 1.0 / run.rate)[
+            :, :, None
+        ]
         for run in problem.runs
     )
     return problem.rows_of(list(along))[:, 0]
 
 
 def drive_torque(
-    arm: RigidArm, elements: Sequence[FrictionElement], motion: tuple[Array, Array, Array], step: float
+    arm: RigidArm,
+    elements: Sequence[FrictionElement],
+    motion: tuple[Array, Array, Array],
+    step: float,
 ) -> Array:
     """Return the drive torque at the joints along a motion, friction included, Nm, shape (m, n).
 
@@ -220,7 +266,9 @@ def element_torque(elements: Sequence[FrictionElement], velocity: Array, step: f
     share = (np.arange(fine) + 0.5)[:, None] / fine
     between = velocity[:-1, None] + share * np.diff(velocity, axis=0)[:, None]
     steps = np.full(fine * len(between), step / fine)
-    mean = prescribed_torque(elements, between.reshape(len(steps), -1), steps).reshape(between.shape)
+    mean = prescribed_torque(elements, between.reshape(len(steps), -1), steps).reshape(
+        between.shape
+    )
     # The mean of the two steps around a sample belongs to its time.
     return np.concatenate([mean[:1, 0], 0.5 * (mean[:-1, -1] + mean[1:, 0]), mean[-1:, -1]])
 
@@ -260,7 +308,17 @@ def validate(
         doubts += alarms(robot.arm, Recorded.of([record], robot.arm), robot.options, robot.zero)
     (torque,) = run_torques(problem, predicted)
     names = tuple(name for name in record.names if name not in robot.followed)
-    return Validation(names, torque, tip_time, distance, tolerances, str(record.source), doubts, record.unit, notes)
+    return Validation(
+        names,
+        torque,
+        tip_time,
+        distance,
+        tolerances,
+        str(record.source),
+        doubts,
+        record.unit,
+        notes,
+    )
 
 
 def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationProblem) -> Array:
@@ -279,7 +337,9 @@ def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationPro
     parts = regressor @ (directions * np.sqrt(np.maximum(values, 0.0)))
     deviation = np.sqrt(np.mean(np.sum(parts**2, axis=2), axis=0))
     known = deviation <= _MAX_WEIGHT_SD * np.sqrt(np.mean(recorded**2, axis=0))
-    return np.asarray(np.where(known, regressor @ sliding.inertial, 0.0)[problem.sample, problem.joint])
+    return np.asarray(
+        np.where(known, regressor @ sliding.inertial, 0.0)[problem.sample, problem.joint]
+    )
 
 
 def _tip_difference(
@@ -290,7 +350,11 @@ def _tip_difference(
     They are empty if that cannot be simulated; set-points with gaps are refused.
     """
     setup = robot.setup
-    series = None if setup is None else read_setpoints(record.source, record.names, robot.zero, robot.mapping)
+    series = (
+        None
+        if setup is None
+        else read_setpoints(record.source, record.names, robot.zero, robot.mapping)
+    )
     if setup is None or series is None:
         return np.zeros(0), np.zeros(0)
     reference, position, velocity = series
@@ -305,7 +369,9 @@ def _tip_difference(
     start = np.clip(record.position[first], setup.robot.lower, setup.robot.upper)
     identified = replace(setup, friction=FrictionSet(setup.friction.names, lugre))
     _, slow, _ = run_along(identified, setpoint_rows(position, velocity, setup), start)
-    recorded = np.column_stack([np.interp(reference.time, record.time, joint) for joint in record.position.T])
+    recorded = np.column_stack(
+        [np.interp(reference.time, record.time, joint) for joint in record.position.T]
+    )
     inside = (reference.time >= record.time[0]) & (reference.time <= record.time[-1])
     tips = [forward(setup.robot.chain, q).position for q in (slow.joint_states[:, 0], recorded)]
     return reference.time[inside], np.linalg.norm(tips[0] - tips[1], axis=1)[inside]

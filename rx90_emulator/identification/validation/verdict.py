@@ -113,7 +113,9 @@ class RunTorques(TorquePrediction):
     velocity: Array
     reversal: Mask
 
-    share = property(attrgetter("rms_share"), doc="RMS difference over RMS recorded torque, shape (n,).")
+    share = property(
+        attrgetter("rms_share"), doc="RMS difference over RMS recorded torque, shape (n,)."
+    )
 
     @property
     def away_from_reversals(self) -> RunTorques:
@@ -128,7 +130,9 @@ class RunTorques(TorquePrediction):
     @cached_property
     def joints(self) -> tuple[JointTorque, ...]:
         """Return the series of each joint where it moves; empty arrays for one that stands still."""
-        columns = zip(self.compared.T, self.velocity.T, self.recorded.T, self.predicted.T, strict=True)
+        columns = zip(
+            self.compared.T, self.velocity.T, self.recorded.T, self.predicted.T, strict=True
+        )
         return tuple(
             JointTorque(self.time[moves], velocity[moves], recorded[moves], predicted[moves])
             for moves, velocity, recorded, predicted in columns
@@ -154,7 +158,9 @@ def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorque
     compared[rows] = True
     reversal = np.zeros(recorded.shape, dtype=np.bool_)
     reversal[rows] = problem.reversal
-    names = tuple(name for name, own in zip(problem.arm.names, identified.tolist(), strict=True) if own)
+    names = tuple(
+        name for name, own in zip(problem.arm.names, identified.tolist(), strict=True) if own
+    )
     bag = np.repeat([str(run.source.path) for run in runs], [len(run.rows) for run in runs])
     sources = {str(run.source.path): run.source for run in runs}
     return tuple(
@@ -200,15 +206,23 @@ class Criterion:
     @property
     def text(self) -> str:
         """Return quantity, value, joint and limit: "torque RMS 0.13% (joint_6, limit 5%)"."""
-        scale, unit, after = {"%": (1e2, "%", "%"), "mrad": (1e3, " mrad", ""), "µm": (1e6, " µm", "")}[self.unit]
+        scale, unit, after = {
+            "%": (1e2, "%", "%"),
+            "mrad": (1e3, " mrad", ""),
+            "µm": (1e6, " µm", ""),
+        }[self.unit]
         whose = f"{self.joint}, " if self.joint else ""
-        return (
-            f"{self.quantity} {scale * self.value:.{self.digits}f}{unit} ({whose}limit {scale * self.limit:g}{after})"
-        )
+        figure = f"{self.quantity} {scale * self.value:.{self.digits}f}{unit}"
+        return f"{figure} ({whose}limit {scale * self.limit:g}{after})"
 
 
 def largest(
-    quantity: str, names: Sequence[str], values: Array, limit: float, unit: str = "%", digits: int = 2
+    quantity: str,
+    names: Sequence[str],
+    values: Array,
+    limit: float,
+    unit: str = "%",
+    digits: int = 2,
 ) -> Criterion:
     """Return the criterion of the joint with the largest value; NaN means that a joint is not compared."""
     joint = int(np.argmax(np.nan_to_num(values, nan=-1.0)))
@@ -216,7 +230,12 @@ def largest(
 
 
 def torque_criteria(
-    names: Sequence[str], total: float, share: Array, most: float, most_of_joint: float, by: str = ""
+    names: Sequence[str],
+    total: float,
+    share: Array,
+    most: float,
+    most_of_joint: float,
+    by: str = "",
 ) -> tuple[Criterion, Criterion]:
     """Return the criteria of every verdict on torques: RMS difference over RMS torque of all joints, and of each.
 
