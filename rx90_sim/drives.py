@@ -49,9 +49,8 @@ from rx90_common.kernels.elementary import (
 )
 from rx90_common.kernels.lanes import Lanes, Number, absolute, fma, load, select, size, store
 
-_SMALL = (
-    1e-2  # rad; below it the series of sin(x) / x is exact to rounding, and 0 is not divided by
-)
+# rad; below it the series of sin(x) / x is exact to rounding, and 0 is not divided by
+_SMALL = 1e-2
 _STREAM = np.uint64(1 << 32)  # the sequences of the sensors begin away from those of the friction
 
 

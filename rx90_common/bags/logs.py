@@ -30,9 +30,8 @@ from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 
 _LAST_NS: Final = 2**31 * NANOSECONDS  # stamps of ROS end there
-_LARGEST: Final = (
-    1e9  # rad, rad/s, Nm or A: beyond any joint, while a damaged number may be as large
-)
+# rad, rad/s, Nm or A: beyond any joint, while a damaged number may be as large
+_LARGEST: Final = 1e9
 _NUMBER_BYTES = 8
 _LOOKED_AT = 200  # lines, by which delimiter, decimal sign and header are found out
 _TOLD = 20  # corrupt lines

@@ -34,9 +34,8 @@ _WAIT_SLICE = 0.1  # s of a wait for states; in free-running time also the time 
 _PATIENCE = 1.0  # s without a simulation, after which that is announced
 _MODE_PATIENCE = 5.0  # s with a simulation that does not announce its mode
 _MAX_LAG = 0.005  # s; up to here missed ticks are computed one by one, beyond it time is skipped
-_PHASE_ADVANCE = (
-    0.02  # of a period: by so much it wakes earlier each time, until it is there before the states
-)
+# of a period: by so much it wakes earlier each time, until it is there before the states
+_PHASE_ADVANCE = 0.02
 _BACKWARD = 3  # jumps back within _BACKWARD_WINDOW that make two simulations; a reset makes one
 _BACKWARD_WINDOW = 5.0  # s
 
@@ -105,17 +104,15 @@ class Serving:
         # In lock-step.
         self._wait = Wait(announce, "the simulation is there:")
         self._stamp: int | None = None
-        self._state: bytes | None = (
-            None  # as received; an empty message must not pass for a repetition
-        )
+        # as received; an empty message must not pass for a repetition
+        self._state: bytes | None = None
         self._command = b""
         self._last_message = time.monotonic()
         # In free-running time.
         self._lag_ns = max(round(_MAX_LAG * NANOSECONDS), 2 * self._slow_ns)
         self._next: int | None = None  # the stamp of the next tick, once the loops have begun
-        self._elsewhere: int | None = (
-            None  # a stamp that does not follow; the next one may go on from there
-        )
+        # a stamp that does not follow; the next one may go on from there
+        self._elsewhere: int | None = None
         self._prepared = self._resting = False
 
     def run(self) -> None:

@@ -55,9 +55,8 @@ from rx90_controller.trajectory.request import (
 )
 from rx90_controller.trajectory.stream import SetPoints, from_trajectory
 
-_ATTEMPTS = (
-    3  # to join a long trajectory outside the ticks, each with more time than the one before
-)
+# to join a long trajectory outside the ticks, each with more time than the one before
+_ATTEMPTS = 3
 
 
 class ServoLoop:
@@ -93,9 +92,8 @@ class ServoLoop:
         self._cs7b = cs7b
         self._events: deque[Event] = deque()
         self._unpublished = False  # whether the position loop has left something
-        self._correction: tuple[str, Correction] | None = (
-            None  # for the trajectory of that identity
-        )
+        # for the trajectory of that identity
+        self._correction: tuple[str, Correction] | None = None
 
     # The thread that ticks.
 

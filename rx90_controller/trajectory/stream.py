@@ -35,9 +35,8 @@ INTERFACES = (POSITION, VELOCITY)
 """What a stream may consist of."""
 LONGEST_PAUSE = 1.0
 """Interruption of a stream, s, after which its sender goes on from where it is by then; a longer one ends it."""
-_OTHER_CLOCK = (
-    1.0  # s: a stamp further from the controller's time than this comes from another clock
-)
+# s: a stamp further from the controller's time than this comes from another clock
+_OTHER_CLOCK = 1.0
 _SLOW = 1e-7  # rad/s: velocity that is rounded to rest at the end of a motion
 _FAR = 1e6  # rad, rad/s, rad/s^2: beyond all limits; larger numbers are taken for it, so that none overflows
 

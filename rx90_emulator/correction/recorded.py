@@ -32,12 +32,10 @@ REFERENCE = "rx90_controller/reference"
 TRACKING = "rx90_controller/tracking_error"
 CORRECTION = "rx90_controller/correction"
 _GAP = 3.5  # times the median interval, or the set-points' own: up to two missing samples are interpolated
-_MAX_DIFFERENCE = (
-    0.02  # of the range of a motion, root mean square: a larger one means another motion
-)
-_MAX_ROWS = (
-    10_000_000  # longest record, in set-points: the search for the motion then takes some GB
-)
+# of the range of a motion, root mean square: a larger one means another motion
+_MAX_DIFFERENCE = 0.02
+# longest record, in set-points: the search for the motion then takes some GB
+_MAX_ROWS = 10_000_000
 _POSITIONS = {
     "geometry_msgs/msg/PointStamped": "point",
     "geometry_msgs/msg/PoseStamped": "pose.position",

@@ -268,10 +268,6 @@ class InertialPrior:
         sizes: ArrayLike = np.zeros(len(names)) if rotors is None else rotors
         initial = np.array(sizes, dtype=np.float64).reshape(-1)
         amplitudes = np.array(springs, dtype=np.float64).reshape(-1)
-        for what, values in (("rotor inertias", initial), ("springs", amplitudes)):
-            if len(values) > len(names) or not np.isfinite(values).all() or (values < 0.0).any():
-                accepted = f"finite numbers >= 0, at most {len(names)}"
-                raise IdentificationError(f"{what} {values.tolist()}; accepted: {accepted}")
         unknown = (initial == 0.0) if rotors is not None else np.zeros(len(initial), dtype=np.bool_)
         guesses = np.append(np.array(guessed, dtype=bool), unknown)
         for i in np.flatnonzero(unknown).tolist():
@@ -568,27 +564,13 @@ class Consistency:
     @property
     def open_text(self) -> str:
         """Return in words the joints whose masses the runs do not determine, and the values used; "" if none."""
-        prior = self.inertias.prior
-        words = []
-        real = {
-            body.joint
-            for body, guess in zip(prior.bodies, prior.guessed, strict=False)
-            if not guess
-        }
-        for described, near in (
-            (True, "the description's"),
-            (False, "plausible ones, ellipsoids along the links"),
-        ):
-            joints = [
-                name
-                for k, name in enumerate(prior.joints)
-                if self.inertias.open[k] and (k in real) == described
-            ]
-            if joints:
-                words.append(
-                    f"what {listed(joints)} move{'' if len(joints) > 1 else 's'} stays near {near}"
-                )
-        return f"masses that the runs do not determine: {'; '.join(words)}" if words else ""
+        joints = np.array(self.inertias.prior.joints)[self.inertias.open].tolist()
+        if not joints:
+            return ""
+        return (
+            f"masses that the runs do not determine: those at {listed(joints)} stay near the description's, or near "
+            "ellipsoids along the links where it has none"
+        )
 
     @property
     def warning(self) -> str:

@@ -28,9 +28,8 @@ from rx90_emulator.identification.rows.micro_oscillations import (
     find_micro_motions,
 )
 
-_BREAK_AWAY_SHARE = (
-    0.7  # of break-away; beyond it bristles slide, and their torque depends little on c0 and c1
-)
+# of break-away; beyond it bristles slide, and their torque depends little on c0 and c1
+_BREAK_AWAY_SHARE = 0.7
 _MIN_RELATIVE_LOAD = 0.25  # of the strongest motion of a group: fainter ones tell little
 _MAX_MOTIONS_PER_BAG = 3  # of a group
 _PASSES = 3  # each with the noise that the previous one left

@@ -377,9 +377,8 @@ def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:
     return np.asarray(rows[~spoilt])
 
 
-_LEAST_STEPS = (
-    5.0  # of an encoder between samples, above which it moves too fast to repeat a position
-)
+# of an encoder between samples, above which it moves too fast to repeat a position
+_LEAST_STEPS = 5.0
 
 
 def repeated_samples(position: Array) -> Mask | None:

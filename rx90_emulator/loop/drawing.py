@@ -42,9 +42,8 @@ _UNEVEN = 0.25  # of the way between two points
 _NEWTON = 3  # steps to the nearest place
 _SLOWEST = 1e-6  # square of the speed by the parameter, which is that along the chords
 _STRAIGHT = 1e-9  # of the length of a spline: how far a straight one may be off its chord
-_CORNER = (
-    0.02  # rad, between secants of a spline before and behind a knot, each over _SECANT of its span
-)
+# rad, between secants of a spline before and behind a knot, each over _SECANT of its span
+_CORNER = 0.02
 _SECANT = 1e-3
 _HEAD = re.compile(r"\s*(\w+)\s*(?:\[\s*(\w+)\s*\])?\s*")
 

@@ -201,9 +201,8 @@ def _checked(answer: ArrayLike, joints: int, time: float) -> Array:
 BANDWIDTH: Final = 40.0
 """Of the error's critically damped decay, rad/s."""
 _TABLE_ROWS = 5000  # rows for each sign of the velocity
-_FULL_COMPENSATION_SPEED = (
-    0.002  # rad/s of the set-point at which the friction is compensated in full
-)
+# rad/s of the set-point at which the friction is compensated in full
+_FULL_COMPENSATION_SPEED = 0.002
 
 
 class ComputedTorque:

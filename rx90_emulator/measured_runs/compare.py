@@ -166,9 +166,8 @@ class MeasuredComparison:
 
 _MAX_BANDWIDTH_SHARE = 0.3  # largest bandwidth of the set-points over the rate of the position loop
 _MAX_LAG_S = 0.1  # s, largest lag or lead of the simulated motion
-_MIN_TRAVEL = (
-    2e-3  # rad, several times the presliding travel of a joint; a joint that moves less is at rest
-)
+# rad, several times the presliding travel of a joint; a joint that moves less is at rest
+_MIN_TRAVEL = 2e-3
 _LAG_ROUNDS = 4  # iterations of the search for the lag
 _DEFAULT_LAYOUT = MeasuredLayout()
 _DEFAULT_TOLERANCES = MeasuredTolerances()

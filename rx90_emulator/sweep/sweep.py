@@ -27,9 +27,8 @@ from rx90_emulator.sweep.plan import SweepPlan, plan_hash
 from rx90_emulator.sweep.runs import RunDescription, RunList
 
 PLANNED_LINES = 64
-_ORIENTATION_STRIDE = (
-    10  # position ticks: the orientation costs as much as all else; its peak is 0.2 % less
-)
+# position ticks: the orientation costs as much as all else; its peak is 0.2 % less
+_ORIENTATION_STRIDE = 10
 _KEPT_SETPOINTS = 4
 _Key = TypeVar("_Key")
 _Kept = TypeVar("_Kept")

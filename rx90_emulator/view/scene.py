@@ -130,9 +130,8 @@ def legend_html() -> str:
 
 
 _END_TOLERANCE = 1e-4  # m; a motion that begins and ends so near the line's ends, and keeps so near, is one along it
-_CHORD_TOLERANCE = (
-    0.05  # of its length; between the points of its trajectory it is longer than the straight way
-)
+# of its length; between the points of its trajectory it is longer than the straight way
+_CHORD_TOLERANCE = 0.05
 _DURATION_TOLERANCE = 5e-3  # s that a motion may take longer than the line's own: the same speeds
 _PATH_STEP = 5e-3  # m between points of a path that is drawn
 _START_ZONE = 0.01  # m; in these a motion that follows another one bends the bristles back

@@ -59,9 +59,8 @@ class SampledStates:
             node.create_publisher(JointState, f"{SAMPLED}/friction_states", CLOCK_QOS),
         )
         self._samples: tuple[bytes, ...] = ()
-        self._due = self._published = (
-            0.0  # s of the steady clock: when the next is due, and when the last one was
-        )
+        # s of the steady clock: when the next is due, and when the last one was
+        self._due = self._published = 0.0
         self._since = 0  # samples since the last one that was published
 
     def publish_due(self, tick: int) -> None:
@@ -170,9 +169,8 @@ class Publications:
         )
         self._joints = publish(node, JointState, "joint_states", STATE_QOS)
         self._friction = publish(node, JointState, "friction_states", STATE_QOS)
-        self._joint_sample = self._friction_sample = (
-            b""  # the newest, as it was sent; empty: not sent
-        )
+        # the newest, as it was sent; empty: not sent
+        self._joint_sample = self._friction_sample = b""
         self._sampled = SampledStates(node, plant, rates)
         self._time = Clock()
         self._clock = publish(node, Clock, "/clock", CLOCK_QOS)

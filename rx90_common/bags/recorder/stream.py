@@ -26,9 +26,8 @@ from rx90_common.exchange.message_types import message_class, types_with
 from rx90_common.exchange.ros_start import reason
 
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
-_PAUSE = (
-    0.002  # s; the messages in it at 30,000 per second fit into a socket with Linux' default size
-)
+# s; the messages in it at 30,000 per second fit into a socket with Linux' default size
+_PAUSE = 0.002
 _HEADER = "std_msgs/Header"
 
 
