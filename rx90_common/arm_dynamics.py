@@ -48,11 +48,8 @@ def manipulator_dtype(joints: int) -> np.dtype[np.void]:
     """Return the type of the constants, the link last: base parameters, gravity, the rotors' inertia, the spring."""
     return np.dtype(
         [
-            (
-                "frame",
-                np.float64,
-                (3, 3, joints),
-            ),  # column, component, link: in the frame before, at q = 0
+            # column, component, link: in the frame before, at q = 0
+            ("frame", np.float64, (3, 3, joints)),
             ("next_origin", np.float64, (3, joints)),
             ("first_origin", np.float64, 3),
             ("first_moment", np.float64, (2, joints)),  # x, y

@@ -130,11 +130,8 @@ def winding_dtype(motors: int) -> np.dtype[np.void]:
     return np.dtype(
         [
             ("used", np.int64),
-            (
-                "heat",
-                np.float64,
-                (motors,),
-            ),  # of the square of the torque at the reference temperature, K/s / Nm^2
+            # of the square of the torque at the reference temperature, K/s / Nm^2
+            ("heat", np.float64, (motors)),
             ("coefficient", np.float64),
             ("reference", np.float64),
             ("cooling", np.float64, (motors,)),  # 1/s
@@ -239,11 +236,8 @@ def sensor_state_dtype(motors: int) -> np.dtype[np.void]:
     return np.dtype(
         [
             ("counter", np.uint64, (motors,)),
-            (
-                "error",
-                np.float64,
-                (motors,),
-            ),  # by how much the current is less than without errors, A
+            # by how much the current is less than without errors, A
+            ("error", np.float64, (motors)),
             ("torque", np.float64, (motors,)),  # reported, motor side, Nm
         ],
         align=True,

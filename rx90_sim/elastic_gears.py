@@ -84,23 +84,14 @@ def transmission_state_dtype(drives: int) -> np.dtype[np.void]:
     """Return the type of the state."""
     return np.dtype(
         [
-            (
-                "twist",
-                np.float64,
-                (drives,),
-            ),  # motor angle at the gear's output minus that of the driven side, rad
+            # motor angle at the gear's output minus that of the driven side, rad
+            ("twist", np.float64, (drives)),
             ("rate", np.float64, (drives,)),
             ("torque", np.float64, (drives,)),  # mean over the last step, Nm
-            (
-                "friction",
-                np.float64,
-                (drives,),
-            ),  # on the motors, with brakes and cogging, mean over the last step, Nm
-            (
-                "link_torque",
-                np.float64,
-                (drives,),
-            ),  # on the links, but for the transmitted one, in the last step, Nm
+            # on the motors, with brakes and cogging, mean over the last step, Nm
+            ("friction", np.float64, (drives)),
+            # on the links, but for the transmitted one, in the last step, Nm
+            ("link_torque", np.float64, (drives)),
             # Workspace of a step.
             ("acceleration", np.float64, (drives,)),  # of the twist
             ("twist_mid", np.float64, (drives,)),
@@ -256,9 +247,8 @@ def elastic_substep(plant: Any, state: Any, step: float) -> None:
         for i in range(n):
             state.rhs[i] = 0.0
         add_drive_torques(plant.gear, gears.torque, state.rhs)
-        if (
-            plant.transmission.link_friction
-        ):  # lies between gear and link: the link gets what friction leaves
+        # lies between gear and link: the link gets what friction leaves
+        if plant.transmission.link_friction:
             take_last_friction(plant, state, state.rhs)
         advance_loads(plant, state, state.rhs, state.acceleration, step)
 

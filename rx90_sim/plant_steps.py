@@ -238,9 +238,8 @@ def _loads(rows: _Rows, gram: Array, step: float, braked: bool) -> Iterator[_Loa
         stiff = _load(k, part, gram, most_k, None)
         yield stiff
         yield _load(step * rows.most_damping, part, gram, most_d, 0.0)
-        cover = 3.2 / min(
-            max(stiff.largest, 1e-100), most_k
-        )  # up to this k the criterion lies above still + cover d
+        # up to this k the criterion lies above still + cover d
+        cover = 3.2 / min(max(stiff.largest, 1e-100), most_k)
         with np.errstate(over="ignore"):  # damping that another check refuses
             bare = k - cover * d
         yield _load(bare, part, gram, still, cover)

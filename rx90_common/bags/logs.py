@@ -375,9 +375,8 @@ def _stamp_ns(cell: str, decimal: str, unit_ns: int) -> int:
     stamp: Decimal | int = -1
     if re.fullmatch(r"[0-9.,eE+-]+", cell):
         with suppress(DecimalException):
-            stamp = (
-                Decimal(cell.replace(decimal, ".")) * unit_ns
-            )  # floating point spoils ns of the wall clock
+            # floating point spoils ns of the wall clock
+            stamp = Decimal(cell.replace(decimal, ".")) * unit_ns
     elif re.match(r"\d{4}-\d", cell):
         for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):
             with suppress(pa.ArrowInvalid):

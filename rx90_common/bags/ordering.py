@@ -173,9 +173,8 @@ class LogOrder:
         for rows in np.split(np.arange(len(stamps)), set_backs):
             first = int(stamps[rows[0]])
             if first < self._stamps.get(topic, first):
-                if (
-                    self._ahead[topic] == self._newest_ahead
-                ):  # other topics follow, each with its own next message
+                # other topics follow, each with its own next message
+                if self._ahead[topic] == self._newest_ahead:
                     self.set_backs.append((self._newest - self._newest_ahead, first))
                     self._newest_ahead = self._newest + 1 - first
                 self._ahead[topic] = self._newest_ahead

@@ -201,10 +201,8 @@ def gear_field(name: str, arm: ArmSize) -> tuple[Any, ...]:
         "element": (elements, joints),  # turns of friction elements for joints
         "element_columns": (joints, elements),
         "belongs": (joints, elements),  # columns: which motor belongs to an element
-        "passed": (
-            joints,
-            elements,
-        ),  # columns: share of the joints' torques that goes through an element
+        # columns: share of the joints' torques that goes through an element
+        "passed": (joints, elements),
     }
     numbers = [(key, np.float64, shape) for key, shape in shapes.items()]
     return name, np.dtype([*numbers, ("element_of_motor", np.int64, (joints,))], align=True)

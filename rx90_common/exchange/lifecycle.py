@@ -166,9 +166,8 @@ def _spin(members: Sequence[TickingNode], services: int, cut_off: threading.Time
         for member, thread in zip(members, threads, strict=True):
             member.stop()
             thread.join(_LAST_TICK_S)
-            if (
-                thread.is_alive()
-            ):  # in the middleware, whose end would wait for this thread for ever
+            # in the middleware, whose end would wait for this thread for ever
+            if thread.is_alive():
                 end_with(FAILED)
         executor.shutdown()
         for node in nodes:

@@ -50,29 +50,20 @@ def law_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     n = arm.joints
     return np.dtype(
         [
-            (
-                "reference",
-                np.float64,
-                (3, n),
-            ),  # motor-side position, velocity, acceleration set-points
+            # motor-side position, velocity, acceleration set-points
+            ("reference", np.float64, (3, n)),
             ("offset", np.float64, (n,)),  # of the position set-point, motor side, rad; workspace
             ("error", np.float64, (n,)),  # position error at the last position tick
             ("velocity_error", np.float64, (n,)),
             ("integrator", np.float64, (n,)),
             ("position_torque", np.float64, (n,)),  # PI block, held between position ticks
             ("feed_forward", np.float64, (n,)),  # FF block, held between position ticks
-            (
-                "commanded",
-                np.float64,
-                (n,),
-            ),  # current commanded to the amplifier, within its limit, A
+            # current commanded to the amplifier, within its limit, A
+            ("commanded", np.float64, (n)),
             ("current", np.float64, (n,)),
             ("command", np.float64, (n,)),  # torque constant times current
-            (
-                "limited",
-                np.float64,
-                (n,),
-            ),  # sign of the amplifier's saturation in the last tick, 0 if none
+            # sign of the amplifier's saturation in the last tick, 0 if none
+            ("limited", np.float64, (n)),
             ("saturated", np.float64, (n,)),  # ticks in saturation
             ("model", model_state_dtype(arm)),
         ],
@@ -208,9 +199,8 @@ def position_loop(
     if setpoint.shape[0] > 3:
         to_motor(law.gear, setpoint[3], state.offset)
         offset = load(state.offset, n)
-        requested = select(
-            offset == 0.0, requested, requested + offset
-        )  # none leaves the bits, also those of -0
+        # none leaves the bits, also those of -0
+        requested = select(offset == 0.0, requested, requested + offset)
     error, integrator, position_torque, feed_forward = position_servo(
         law,
         n,

@@ -97,10 +97,8 @@ def model_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     friction = [
         ("z", np.float64, (e,)),  # deflections of the bristles, rad
         ("parts", parts_state_dtype(e)),
-        (
-            "warm",
-            np.int64,
-        ),  # whether the temperatures have been computed, or are those of the start
+        # whether the temperatures have been computed, or are those of the start
+        ("warm", np.int64),
         # Workspace.
         ("joint", np.float64, (n,)),
         ("motor", np.float64, (n,)),
@@ -109,11 +107,8 @@ def model_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
         [
             ("parts", np.int64),  # of the last position tick
             ("friction", np.dtype(friction, align=True)),
-            (
-                "before",
-                np.float64,
-                (n,),
-            ),  # motor side, Nm: the feed-forward before the parts changed
+            # motor side, Nm: the feed-forward before the parts changed
+            ("before", np.float64, (n)),
             # Workspace.
             ("body", body_dtype(n)),
             ("q", np.float64, (n,)),

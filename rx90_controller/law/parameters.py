@@ -36,30 +36,18 @@ def controller_dtype(arm: ArmSize) -> np.dtype[np.void]:
             ("integral", np.float64, (n,)),  # motor side, Nm/rad per position tick
             ("integrator_limit", np.float64, (n,)),  # motor side, Nm
             ("derivative", np.float64, (n,)),  # motor side, Nm s/rad
-            (
-                "inertia",
-                np.float64,
-                (n,),
-            ),  # motor side, kg m^2; 0 where acceleration feed-forward is off
-            (
-                "velocity_weight",
-                np.float64,
-                (n,),
-            ),  # of the velocity set-point in D; 0 where it is off
+            # motor side, kg m^2; 0 where acceleration feed-forward is off
+            ("inertia", np.float64, (n)),
+            # of the velocity set-point in D; 0 where it is off
+            ("velocity_weight", np.float64, (n)),
             ("coulomb", np.float64, (n,)),  # motor side, Nm; 0 where the compensation is off
             ("coulomb_velocity", np.float64, (n,)),  # motor side, rad/s
-            (
-                "viscous",
-                np.float64,
-                (n,),
-            ),  # motor side, Nm (s/rad)^exponent; 0 where the compensation is off
+            # motor side, Nm (s/rad)^exponent; 0 where the compensation is off
+            ("viscous", np.float64, (n)),
             ("torque_constant", np.float64, (n,)),
             ("peak_current", np.float64, (n,)),
-            (
-                "current_step",
-                np.float64,
-                (n,),
-            ),  # largest change of the amplifier's current in a tick, A
+            # largest change of the amplifier's current in a tick, A
+            ("current_step", np.float64, (n)),
             ("current_gain", np.float64),  # of the current loop per tick
             ("following_error", np.float64, (n,)),  # supervised, motor side, rad
             ("over_speed", np.float64, (n,)),  # supervised, motor side, rad/s

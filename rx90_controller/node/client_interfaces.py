@@ -112,9 +112,8 @@ class ClientInterfaces:
         self._goals: dict[bytes, TrajectoryRequest] = {}  # that may still be cancelled
         self._result_requested: set[bytes] = set()  # goals whose client has asked for the result
         self._checked: TrajectoryRequest | None = None  # the goal that is accepted next
-        self._checking = (
-            threading.Lock()
-        )  # an executor of several threads continues while the node ends
+        # an executor of several threads continues while the node ends
+        self._checking = threading.Lock()
         self._ending = False
         self._simulation_seen = time.monotonic()  # when the simulation was there
         qos = REQUEST_QOS

@@ -93,9 +93,8 @@ class Serving:
         self._encode_no_torque = commands.encoder()
         self._complaints = ThrottledLog(complain)
         self._log = ThrottledLog(announce)
-        self._backward: deque[float] = deque(
-            maxlen=_BACKWARD
-        )  # times at which the stamps have gone back
+        # times at which the stamps have gone back
+        self._backward: deque[float] = deque(maxlen=_BACKWARD)
         self._two_simulations = False
         self.mode: str | None = None
         self._changed = threading.Event()  # the mode is known, or the end is near
@@ -208,9 +207,8 @@ class Serving:
                     self._announce(f"no fresh states on {self._topic}: the loops rest")
                 return
             self._pacer.shift(period)
-        batch = deque(
-            [raw], maxlen=self._lag_ns // self._period_ns
-        )  # earlier ones are beyond the lag
+        # earlier ones are beyond the lag
+        batch = deque([raw], maxlen=self._lag_ns // self._period_ns)
         while (raw := channel.receive(0.0)) is not None:
             batch.append(raw)
         command = None

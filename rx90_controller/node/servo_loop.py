@@ -127,9 +127,8 @@ class ServoLoop:
                 return True
             if fault.quantity == "torque":
                 self._unpublished = False  # torques that are no numbers
-            self._publish(
-                stamp_ns
-            )  # before the reset: the values that led to the fault must be visible
+            # before the reset: the values that led to the fault must be visible
+            self._publish(stamp_ns)
             self.state = self.state.answer(servo, Fault(fault, states.position))
             return False
 

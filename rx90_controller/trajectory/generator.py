@@ -69,10 +69,8 @@ class TrajectoryGenerator:
         self.period = period
         self.revision = 0
         self.factor = 1.0
-        self._origin: tuple[int, int | None] = (
-            0,
-            None,
-        )  # of a fork: revision, and start of the waiting motion
+        # of a fork: revision, and start of the waiting motion
+        self._origin: tuple[int, int | None] = (0, None)
         self.reset(hold)
 
     def warm_up(self) -> None:
@@ -208,9 +206,8 @@ class TrajectoryGenerator:
         if factor == self.factor:
             return
         self.factor = factor
-        self._played = cut_at(
-            self._played, now, now
-        )  # it belongs to the speed at which it was learned
+        # it belongs to the speed at which it was learned
+        self._played = cut_at(self._played, now, now)
         motion = self._effective(now)
         waiting = self._next
         if motion.runs(now) and not motion.fixed:
@@ -359,9 +356,8 @@ class TrajectoryGenerator:
             return None
         fork = copy.copy(self)
         fork._origin = (self.revision, None if self._next is None else self._next.start)
-        laws = [
-            copy.copy(law) for law in self._current.laws
-        ]  # a fork must not change this generator's laws
+        # a fork must not change this generator's laws
+        laws = [copy.copy(law) for law in self._current.laws]
         fork._current = replace(self._current, laws=laws)
         fork._next = None
         return fork

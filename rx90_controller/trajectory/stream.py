@@ -224,14 +224,12 @@ class Stream:
             self._values = held[None, quantity : quantity + 2] * self.named
         values = np.clip(points.values, -_FAR, _FAR)
         if not values[-1, 1].any():
-            values[-1, 1] = (
-                np.nan
-            )  # senders usually let a single point rest; the next one is still to come
+            # senders usually let a single point rest; the next one is still to come
+            values[-1, 1] = np.nan
         values = values[times > now]
         times = times[times > now]
-        begin = max(
-            np.searchsorted(self._times, now) - 2, 0
-        )  # the slope at the last one before now needs two
+        # the slope at the last one before now needs two
+        begin = max(np.searchsorted(self._times, now) - 2, 0)
         end = np.searchsorted(self._times, times[0])
         self._times = np.concatenate([self._times[begin:end], times])
         self._values = np.concatenate([self._values[begin:end], values])
@@ -278,9 +276,8 @@ class Stream:
         if self.interface == POSITION:
             slopes = np.where(np.isnan(slopes), np.gradient(values, times, axis=0), slopes)
         else:
-            from scipy.integrate import (
-                cumulative_trapezoid,
-            )  # takes a while, which most runs do without
+            # takes a while, which most runs do without
+            from scipy.integrate import cumulative_trapezoid
 
             times = np.append(times, self.expires - now)
             slopes = np.vstack([values, values[-1]])

@@ -88,9 +88,8 @@ def node_trials(
                 follow(points, correction)
             approach()
             bag = Path(name) / f"trial_{number}"
-            played = (
-                [CORRECTION] if correction.offsets.any() else []
-            )  # without offsets nothing is published
+            # without offsets nothing is published
+            played = [CORRECTION] if correction.offsets.any() else []
             words = executable("rx90 bag", "record", "--output", bag, *topics, *played)
             recorder = recorders.start(f"recorder of {bag.name}", words)
             recorder.wait_for("ready: all", timeout)

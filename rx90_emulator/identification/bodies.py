@@ -251,23 +251,14 @@ class InertialPrior:
             bodies += real
             if not real:
                 bodies.append(_by_geometry(of_joint[0], ends))
-                given = any(one.pseudo.any() for one in of_joint)
-                why = (
-                    "the same for all links"
-                    if filled
-                    else "none that a body can have"
-                    if given
-                    else "missing"
-                )
+                why = "the same for all links" if filled else "missing or none that a body can have"
                 words.append(
                     f"{of_joint[0].link} at {name}: <inertial> is {why}; begins as an ellipsoid of {_DENSITY:g} kg/m^3 "
                     f"along the link, {bodies[-1].pseudo[3, 3]:.3g} kg"
                 )
         kept = {body.link for body in bodies}
         dropped = tuple(body.link for body in free if body.pseudo.any() and body.link not in kept)
-        sizes: ArrayLike = np.zeros(len(names)) if rotors is None else rotors
-        initial = np.array(sizes, dtype=np.float64).reshape(-1)
-        amplitudes = np.array(springs, dtype=np.float64).reshape(-1)
+        initial = np.zeros(len(names)) if rotors is None else np.array(rotors, dtype=np.float64)
         unknown = (initial == 0.0) if rotors is not None else np.zeros(len(initial), dtype=np.bool_)
         guesses = np.append(np.array(guessed, dtype=bool), unknown)
         for i in np.flatnonzero(unknown).tolist():
@@ -283,7 +274,7 @@ class InertialPrior:
             tuple(bodies),
             fixed_parameters,
             initial,
-            amplitudes,
+            np.array(springs, dtype=np.float64),
             guesses,
             tuple(words),
             dropped,

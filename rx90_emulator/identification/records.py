@@ -449,9 +449,8 @@ def _check_velocity(
     edges = np.arange(0, len(time), size)
     travelled = cumulative_trapezoid(velocity, time, axis=0, initial=0)
     lasting = np.diff(time[edges])
-    whole = (
-        lasting < 2.0 * np.median(lasting) if len(lasting) else np.zeros(0, dtype=np.bool_)
-    )  # no gap in it
+    # no gap in it
+    whole = lasting < 2.0 * np.median(lasting) if len(lasting) else np.zeros(0, dtype=np.bool_)
     distance = np.diff(position[edges], axis=0)[whole]
     integral = np.diff(travelled[edges], axis=0)[whole]
     power = (distance**2).sum(axis=0)

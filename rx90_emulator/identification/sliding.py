@@ -115,9 +115,8 @@ def identify_sliding(
             for law, alone in zip(laws, untold, strict=True)
         ]
         other = fit_laws(rows.friction, even, result.weight, fitted_values(laws, result.x))
-        if (
-            other.at_bound.sum() <= result.at_bound.sum()
-        ):  # else the data contradict, and the deviations say the rest
+        # else the data contradict, and the deviations say the rest
+        if other.at_bound.sum() <= result.at_bound.sum():
             laws = even
             result = other
             spread = deviations(result)

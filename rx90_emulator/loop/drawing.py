@@ -327,9 +327,8 @@ class Drawing:
             )
         if not np.isfinite(np.array([tuple(point) for point in curve.control_points])).all():
             self._refuse("a spline with a point that is no place; accepted: finite coordinates")
-        knots = sorted(
-            {*known[curve.degree : curve.count + 1]}
-        )  # before and behind these it is not defined
+        # before and behind these it is not defined
+        knots = sorted({*known[curve.degree : curve.count + 1]})
         corners = [
             knot
             for before, knot, after in zip(knots, knots[1:], knots[2:], strict=False)
@@ -404,9 +403,8 @@ def _points(curve: Any, at: Array, unit: float, corner: bool) -> tuple[Array, bo
         points = _places(curve, at)
         if np.abs(points[-1] - points[0]).max() <= _STRAIGHT * np.ptp(points, axis=0).max():
             points[-1] = points[0]
-        moves = np.append(
-            True, np.any(np.diff(points, axis=0), axis=1)
-        )  # a spline may rest on equal control points
+        # a spline may rest on equal control points
+        moves = np.append(True, np.any(np.diff(points, axis=0), axis=1))
         points = points[moves]
         at = at[moves]
         if len(at) < 2:

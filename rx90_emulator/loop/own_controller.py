@@ -226,9 +226,8 @@ class ComputedTorque:
     def __init__(
         self, setup: Setup, amplitude: float = 0.3, period: float = 4.0, *, friction: bool = True
     ) -> None:
-        from rx90_emulator.identification.arm import (
-            RigidArm,
-        )  # brings Pinocchio, which other controllers do without
+        # brings Pinocchio, which other controllers do without
+        from rx90_emulator.identification.arm import RigidArm
 
         self._arm = RigidArm.from_setup(setup)
         self._half = 0.5 * amplitude

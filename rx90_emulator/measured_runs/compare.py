@@ -236,9 +236,8 @@ def compare_measured(
     simulated, begin, end, saturated = _simulated(setup, setpoints, run)
     progress("comparison")
     time = run.time[run.rows]
-    rows = (time >= begin + _MAX_LAG_S) & (
-        time <= end - _MAX_LAG_S
-    )  # covered for any lag of the simulated arm
+    # covered for any lag of the simulated arm
+    rows = (time >= begin + _MAX_LAG_S) & (time <= end - _MAX_LAG_S)
     if not rows.any():
         raise IdentificationError(
             "measured and simulated run have no time in common; accepted: a longer bag"
@@ -254,9 +253,8 @@ def compare_measured(
         lag -= float(np.sum(difference * velocity)) / float(np.sum(velocity**2))
         lag = float(np.clip(lag, -_MAX_LAG_S, _MAX_LAG_S))
     follows = np.asarray(simulated(time + lag - setpoints.start))
-    when = (
-        np.arange(len(setpoints.values), dtype=np.float64) * setup.rates.position_period
-    )  # since the first of them
+    # since the first of them
+    when = np.arange(len(setpoints.values), dtype=np.float64) * setup.rates.position_period
     measured_path = followed_accuracy(
         setup.robot, time - setpoints.start, measured[:, 0], when, setpoints.values[:, 0]
     )
@@ -454,9 +452,8 @@ def _remarks(
 ) -> tuple[str, ...]:
     """Return which parts of the bag are not compared, and why."""
     found = []
-    cut = 2.0 * (
-        1.5 / run.bandwidths.position + 12.0 / run.rate
-    )  # cut off by the filters at both ends
+    # cut off by the filters at both ends
+    cut = 2.0 * (1.5 / run.bandwidths.position + 12.0 / run.rate)
     if (
         len(pieces) > 1
         or record.time[-1] - record.time[0] - (run.time[-1] - run.time[0]) > 1.5 * cut

@@ -75,9 +75,8 @@ def _arm_topic(bag: Path, mapping: LogMapping | None) -> str:
         topics = [
             topic for topic in topic_names(bag, mapping) if topic.rpartition("/")[2] == wanted
         ]
-        topics = [
-            topic for topic in topics if f"/{SAMPLED}/" not in topic
-        ]  # the same once more, for those who look on
+        # the same once more, for those who look on
+        topics = [topic for topic in topics if f"/{SAMPLED}/" not in topic]
         if len(topics) > 1:
             raise BagError(
                 f"{plain(bag)}: holds several arms, {listed(sorted(topics))}; accepted: a bag of one arm"

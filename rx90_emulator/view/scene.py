@@ -181,9 +181,8 @@ class LineScene:
         self._span = _NO_SPAN
         self._asked = np.zeros((2, 1))
         self._begin = np.nan
-        self._rows = np.empty(
-            (0, 4)
-        )  # time, distance along the line, path error, orientation error
+        # time, distance along the line, path error, orientation error
+        self._rows = np.empty((0, 4))
         self.clear()
 
     def clear(self) -> None:

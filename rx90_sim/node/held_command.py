@@ -233,9 +233,8 @@ class NewestCommand(HeldCommand):
         answered = stamp // self._period_ns
         if stamp >= 0 and 0 <= tick - answered <= self._oldest:
             self._elsewhere = 0
-            if (
-                stamp < self._stamp
-            ):  # the same again is usual where /clock is slower than the commands
+            # the same again is usual where /clock is slower than the commands
+            if stamp < self._stamp:
                 self._note_out_of_order()
                 return None
             self._stamp = stamp

@@ -26,9 +26,8 @@ from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.plant import Plant
 
 _SAMPLED_PERIOD = 1.0 / SAMPLED_RATE
-_DISPLAY_PERIOD = (
-    1.0 / 30.0
-)  # s of wall time from one sample to the next in a run faster than MAX_DISPLAY_RTF
+# s of wall time from one sample to the next in a run faster than MAX_DISPLAY_RTF
+_DISPLAY_PERIOD = 1.0 / 30.0
 
 
 class SampledStates:
@@ -72,9 +71,8 @@ class SampledStates:
             self._samples = (self._encode_joints(stamp), self._encode_friction(stamp))
             self._since += 1
             now = time.monotonic()
-            if (
-                now >= self._due - 0.5 * _SAMPLED_PERIOD
-            ):  # in real time some ticks come a little early
+            # in real time some ticks come a little early
+            if now >= self._due - 0.5 * _SAMPLED_PERIOD:
                 fast = self._since > 1 and self._since * _SAMPLED_PERIOD > MAX_DISPLAY_RTF * (
                     now - self._published
                 )
@@ -108,9 +106,8 @@ class Transforms:
     ) -> None:
         self._ticks = ticks_per("tf_rate", parameters.rates.base_hz, parameters.tf_rate)
         try:
-            from tf2_msgs.msg import (
-                TFMessage,
-            )  # only on request: the pip environment may be without
+            # only on request: the pip environment may be without
+            from tf2_msgs.msg import TFMessage
         except ImportError as error:
             missing = missing_module(error) or error
             raise ConfigError(

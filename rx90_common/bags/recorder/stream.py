@@ -99,9 +99,8 @@ class SequenceCounter:
 
     def _writer_before(self, number: int) -> WriterCount:
         """Return the writer whose count `number` continues, a new one or, after a loss, the one nearest to it."""
-        behind = [
-            writer for writer in reversed(self.writers) if writer.last < number
-        ]  # the latest may be a restart
+        # the latest may be a restart
+        behind = [writer for writer in reversed(self.writers) if writer.last < number]
         nearest = max(behind, key=lambda writer: writer.last, default=None)
         if nearest is not None and (
             nearest.last + 1 == number or (number > 1 and len(self.writers) >= self._matched())

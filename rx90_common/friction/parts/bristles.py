@@ -143,11 +143,8 @@ def bristles_state_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the bristles' state besides the deflection that every element has."""
     return np.dtype(
         [
-            (
-                "blocks",
-                np.float64,
-                (width, 2, MAX_BLOCKS),
-            ),  # deflections and senses, as `maxwell_slip_step` has them
+            # deflections and senses, as `maxwell_slip_step` has them
+            ("blocks", np.float64, (width, 2, MAX_BLOCKS)),
             ("deflection", np.float64, (width,)),  # workspace of a step
             ("torque", np.float64, (width,)),
         ],

@@ -27,9 +27,8 @@ from rx90_common.kernels.lanes import Lanes, fma, load
 def parts_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants of the parts of `width` elements, the element the last index."""
     constants = [(name, part.constants(width)) for name, part in PARTS.items()]
-    return np.dtype(
-        [("used", np.int64), *constants], align=True
-    )  # used: 1 if any element has any part
+    # used: 1 if any element has any part
+    return np.dtype([("used", np.int64), *constants], align=True)
 
 
 def parts_state_dtype(width: int) -> np.dtype[np.void]:

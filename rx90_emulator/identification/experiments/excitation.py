@@ -42,10 +42,8 @@ _RANDOM_STARTS = 12  # random series, the best of which is improved
 _SAMPLES_PER_HARMONIC = 16
 # samples from one computed distance to the next: distances are smooth, and take longest
 _SPATIAL_STRIDE = 4
-_LIMIT_COSTS = (
-    1.0,
-    50.0,
-)  # of exceeding a limit by its whole size at one sample: at first walls are soft
+# of exceeding a limit by its whole size at one sample: at first walls are soft
+_LIMIT_COSTS = (1.0, 50.0)
 _MAX_LINE_EVALUATIONS = 50  # of a step: a step into a wall would need thousands
 _MARGIN = 0.02  # of a limit, that a search keeps for the motion between its samples
 _CHECK_STEP_S = 0.01  # s between samples at which a motion is checked for the limits
