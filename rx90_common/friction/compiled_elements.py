@@ -20,7 +20,7 @@ from rx90_common.friction.maxwell_slip import (
 from rx90_common.friction.parts.bristles import bristles_dtype, bristles_state_dtype, fill_bristles
 from rx90_common.friction.signs import SIGNS
 from rx90_common.kernels.compiled import inlined, kernel
-from rx90_common.kernels.lanes import Lanes, lane, load, select, store
+from rx90_common.kernels.lanes import Lanes, lane, load, select, size, store
 
 
 class Elements(NamedTuple):
@@ -92,22 +92,6 @@ def load_elements(arrays: Any, width: int) -> Elements:
     )
 
 
-@kernel
-def one_element(arrays: Any, index: int) -> Elements:
-    """Return one element of such a record, in plain numbers."""
-    return Elements(
-        (arrays.tau_c[0, index], arrays.tau_c[1, index]),
-        (arrays.tau_s[0, index], arrays.tau_s[1, index]),
-        arrays.inverse_omega_s[index],
-        arrays.delta[index],
-        arrays.c0[index],
-        arrays.c1[index],
-        arrays.c2[index],
-        arrays.inverse_omega_d[index],
-        arrays.alpha[index],
-    )
-
-
 @inlined
 def lane_of(element: Elements, index: int) -> Elements:
     """Return one of several elements that are lanes, in plain numbers."""
@@ -122,6 +106,12 @@ def lane_of(element: Elements, index: int) -> Elements:
         lane(element.inverse_omega_d, index),
         lane(element.alpha, index),
     )
+
+
+@kernel
+def one_element(arrays: Any, index: int) -> Elements:
+    """Return one element of such a record, in plain numbers."""
+    return lane_of(load_elements(arrays, size(arrays.c0)), index)
 
 
 @inlined
