@@ -260,7 +260,7 @@ class NodeParameters:
 
 def parameter_values(node: Node) -> dict[str, Any]:
     """Return the values of a node's declared parameters by name."""
-    declared = node.get_parameters_by_prefix("")
+    declared: Any = node.get_parameters_by_prefix("")  # rclpy's own annotation has values
     return {
         name: parameter_value_to_python(declared[name].get_parameter_value()) for name in declared
     }
@@ -355,7 +355,7 @@ class ParameterChanges:
 
     def _complete(self, given: Sequence[Parameter]) -> list[Parameter]:
         """Return a request with whole numbers made real ones where that is needed."""
-        declared = self._node.get_parameters_by_prefix("")
+        declared: Any = self._node.get_parameters_by_prefix("")
         return [_with_real_numbers(parameter, declared) for parameter in given]
 
     def _answer(self, parameters: Sequence[Parameter]) -> SetParametersResult:
