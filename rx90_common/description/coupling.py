@@ -23,7 +23,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 import numpy as np
 from numba.core import types
 
-from rx90_common.base.arrays import MAX_JOINTS, Array
+from rx90_common.base.arrays import MAX_JOINTS, Array, record_type
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import counted, listed
 from rx90_common.kernels.compiled import by_type, inlined, kernel
@@ -203,8 +203,7 @@ def gear_field(name: str, arm: ArmSize) -> tuple[Any, ...]:
         "belongs": (joints, elements),  # columns: which motor belongs to an element
         "passed": (joints, elements),  # columns: share of the joints' torques, through an element
     }
-    numbers = [(key, np.float64, shape) for key, shape in shapes.items()]
-    return name, np.dtype([*numbers, ("element_of_motor", np.int64, (joints,))], align=True)
+    return name, record_type(("element_of_motor", np.int64, (joints,)), **shapes)
 
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
