@@ -23,7 +23,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, record_type
 from rx90_common.description import rotations
 from rx90_common.description.chain import RigidChain
 from rx90_common.description.drives import DriveParameters
@@ -46,26 +46,22 @@ from rx90_common.kernels.lanes import (
 @cache
 def manipulator_dtype(joints: int) -> np.dtype[np.void]:
     """Return the type of the constants, the link last: base parameters, gravity, the rotors' inertia, the spring."""
-    return np.dtype(
-        [
-            # column, component, link: in the frame before, at q = 0
-            ("frame", np.float64, (3, 3, joints)),
-            ("next_origin", np.float64, (3, joints)),
-            ("first_origin", np.float64, 3),
-            ("first_moment", np.float64, (2, joints)),  # x, y
-            ("second_moment", np.float64, (4, joints)),  # xx, yy, xz, yz
-            ("base_acceleration", np.float64, 3),  # upwards: represents gravity
-            ("rotor", np.float64, (joints, joints)),
-            ("spring_torque", np.float64, (joints,)),  # amplitude of the torque -k sin(q)
-        ],
-        align=True,
+    return record_type(
+        frame=(3, 3, joints),  # column, component, link: in the frame before, at q = 0
+        next_origin=(3, joints),
+        first_origin=3,
+        first_moment=(2, joints),  # x, y
+        second_moment=(4, joints),  # xx, yy, xz, yz
+        base_acceleration=3,  # upwards: represents gravity
+        rotor=(joints, joints),
+        spring_torque=joints,  # amplitude of the torque -k sin(q)
     )
 
 
 @cache
 def body_dtype(joints: int) -> np.dtype[np.void]:
     """Return the type of the workspace of one evaluation: column, component, link of the rotations."""
-    return np.dtype([("orientation", np.float64, (3, 3, joints))], align=True)
+    return record_type(orientation=(3, 3, joints))
 
 
 Vector: TypeAlias = tuple[Lanes, Lanes, Lanes]

@@ -154,8 +154,8 @@ class Scope:
 
     def cut(self, series: JointSeries) -> JointSeries:
         """Return the part of a series that is compared."""
-        start_ns = series.stamp_ns.min(initial=0) if self.start_ns is None else self.start_ns
-        end_ns = series.stamp_ns.max(initial=0) if self.end_ns is None else self.end_ns
+        start_ns = -np.inf if self.start_ns is None else self.start_ns
+        end_ns = np.inf if self.end_ns is None else self.end_ns
         return series.take((series.stamp_ns >= start_ns) & (series.stamp_ns <= end_ns))
 
 
@@ -186,22 +186,16 @@ def compare_bags(
     shift = time_shift(scope.align, first, second)
     second = second.moved(shift)
     topics = sorted({*first.series, *second.series})
-    joints = {
-        name
-        for bag in (first, second)
-        for sets in bag.series.values()
-        for part in sets
-        for name in part.names
-    }
+    joints = {name for part in (*first.parts, *second.parts) for name in part.names}
     tolerances.check(topics, joints)
     results = []
     for topic in topics:
         a = _part(first, topic, scope)
         b = _part(second, topic, scope)
-        if a is not None and b is not None:
+        if a and b:
             results.append(compare_series(a, b, tolerances, scope))
-        elif a is not None or b is not None:
-            where = "second" if a is None else "first"
+        elif a or b:
+            where = "first" if a else "second"
             results.append(_incomparable(topic, f"only the {where} bag has messages of it"))
     if not results:
         raise BagError(
@@ -243,9 +237,8 @@ def compare_series(
             a.topic, "no stamp in common; bags that began at other times can be aligned"
         )
     alignment = align(a, b)
-    reasons = _only_in("first", a, b, alignment.a, scope) + _only_in(
-        "second", b, a, alignment.b, scope
-    )
+    reasons = _only_in("first", a, b, alignment.a, scope)
+    reasons += _only_in("second", b, a, alignment.b, scope)
     fields = [field for field in a.fields if field in b.fields]
     if "effort" in fields and a.units["effort"] != b.units["effort"]:
         fields.remove("effort")

@@ -108,27 +108,24 @@ class SeriesBuilder:
             rows = np.flatnonzero(sizes == size)
             if messages[rows[0]][:ENCAPSULATION] == self._beginning:
                 message = self._deserialize(messages[rows[0]])
-                content, _, _ = self._content(message)
-                block = np.frombuffer(b"".join([messages[row] for row in rows]), np.uint8).reshape(
-                    -1, size
-                )
+                content = self._content(message)
+                joined = b"".join([messages[row] for row in rows])
+                block = np.frombuffer(joined, np.uint8).reshape(-1, size)
                 fixed, numbers = _places(message.header.frame_id, content)
                 fits = (block[:, fixed] == block[0, fixed]).all(axis=1)
                 values = np.take(block[fits], numbers, axis=1).view("<f8")
                 self._keep(content, rows[fits] + start, cdr_stamps_ns(block[fits]), values)
                 rows = rows[~fits]
             for row in rows:
-                content, stamp_ns, values = self._content(self._deserialize(messages[row]))
+                message = self._deserialize(messages[row])
+                content = self._content(message)
+                stamp_ns = np.array([message_time_ns(message.header.stamp)])
+                values = np.concatenate([getattr(message, field) for field in FIELDS])
                 self._keep(content, np.array([row + start]), stamp_ns, values)
 
-    def _content(self, message: Any) -> tuple[_Content, Int64Array, Array]:
-        """Return the content of a message, its stamp and its numbers."""
+    def _content(self, message: Any) -> _Content:
         names = tuple(message.name)
-        arrays = {
-            "position": message.position,
-            "velocity": message.velocity,
-            "effort": message.effort,
-        }
+        arrays = {field: getattr(message, field) for field in FIELDS}
         if not names or len(set(names)) != len(names):
             raise BagError(
                 f"{self._topic}: joint names are {quoted(list(names))}; accepted: one or more, each once"
@@ -139,9 +136,7 @@ class SeriesBuilder:
                 raise BagError(
                     f"{self._topic}: {numbers} for {counted(len(names), 'joint')}; accepted: one for each"
                 )
-        content = _Content(names, tuple(field for field, array in arrays.items() if len(array)))
-        values = np.concatenate([np.asarray(array, dtype=np.float64) for array in arrays.values()])
-        return content, np.array([message_time_ns(message.header.stamp)]), values
+        return _Content(names, tuple(field for field, array in arrays.items() if len(array)))
 
 
 def _places(frame_id: str, content: _Content) -> tuple[list[int], list[int]]:

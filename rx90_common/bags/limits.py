@@ -20,7 +20,8 @@ ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 MAX_MESSAGE_BYTES: Final = 16 << 20
 _MAX_WHOLE_BYTES = 256 << 20  # of all parts of a file, or
 _MAX_WHOLE_FACTOR = 50  # times its size
-_MAX_ARRAYS_FACTOR = 4
+ARRAYS_FACTOR: Final = 4
+"""The same for arrays, which are all in memory at once."""
 _COPY_BYTES = 1_048_576
 
 
@@ -58,11 +59,6 @@ def check_whole(path: Path, noun: str, length: int, factor: int = _MAX_WHOLE_FAC
     )
 
 
-def check_arrays(path: Path, length: int) -> None:
-    """Refuse a file whose arrays, which are all in memory at once, would unpack to far more than its size."""
-    check_whole(path, "arrays", length, _MAX_ARRAYS_FACTOR)
-
-
 def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Return the arrays of an NPZ file.
 
@@ -71,7 +67,8 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """
     with library_errors():
         with zipfile.ZipFile(path) as archive:
-            check_arrays(path, sum(member.file_size for member in archive.infolist()))
+            length = sum(member.file_size for member in archive.infolist())
+            check_whole(path, "arrays", length, ARRAYS_FACTOR)
         with np.errstate(invalid="ignore"), np.load(path, allow_pickle=False) as content:
             return {
                 name: values for name, values in content.items() if isinstance(values, np.ndarray)

@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
-from rx90_common.bags.limits import check_arrays, library_errors, load_arrays
+from rx90_common.bags.limits import ARRAYS_FACTOR, check_whole, library_errors, load_arrays
 from rx90_common.bags.mapping import DELIMITERS, TIME_UNITS, FieldColumns, LogMapping, mapping_of
 from rx90_common.bags.topics import absolute
 from rx90_common.base.errors import BagError, located
@@ -120,28 +120,21 @@ def read_log(
         raise BagError(
             f"{plain(path)}: rows: {lengths}; accepted: columns of as many rows each, one or more"
         )
-    arrays = {
-        topic: {
+    stamps = _stamps_ns(table, mapping)
+    series = []
+    for topic, columns in mapping.by_topic.items():
+        arrays: dict[str, Any] = {
             name: _values(table, field, exact=mapping.exact)
             for name, field in columns.fields.items()
         }
-        for topic, columns in mapping.by_topic.items()
-    }
-    stamps = _stamps_ns(table, mapping)
+        unit = columns.effort_unit(topic)
+        names = columns.names or ()
+        series.append(JointSeries(absolute(topic), names, stamps, **arrays, effort_unit=unit))
     rows = _rows_in_time(table, mapping, stamps)
     if table.corrupt and not (skip_corrupt and len(rows)):
         hint = "numbers and times that increase, or rx90 bag import --skip-corrupt, to leave out some rows"
         raise BagError(f"{plain(path)}: {table.corrupt}; accepted: {hint}")
-    series = []
-    for topic, columns in mapping.by_topic.items():
-        fields: dict[str, Any] = {name: values[rows] for name, values in arrays[topic].items()}
-        unit = columns.effort_unit(topic)
-        series.append(
-            JointSeries(
-                absolute(topic), columns.names or (), stamps[rows], **fields, effort_unit=unit
-            )
-        )
-    return ReadLog(tuple(series), table.corrupt)
+    return ReadLog(tuple(part.take(rows) for part in series), table.corrupt)
 
 
 def _values(table: _Table, field: FieldColumns, *, exact: bool) -> NDArray[np.float64]:
@@ -228,7 +221,8 @@ def _parquet_columns(path: Path, mapping: LogMapping) -> _Table:
     pages = sum(
         part.total_uncompressed_size for part in parts if part.path_in_schema in mapping.columns
     )
-    check_arrays(path, max(_NUMBER_BYTES * file.metadata.num_rows * len(mapping.columns), pages))
+    numbers = _NUMBER_BYTES * file.metadata.num_rows * len(mapping.columns)
+    check_whole(path, "arrays", max(numbers, pages), ARRAYS_FACTOR)
     return _Table({column: file.read([column])[column].to_numpy() for column in mapping.columns})
 
 
@@ -259,10 +253,8 @@ def _text_columns(path: Path, mapping: LogMapping) -> _Table:
         head = next(
             (k for k, row in enumerate(beginning) if _has_number(row, decimal)), len(beginning)
         )
-    if (
-        mapping.header
-        and head <= len(beginning)
-        and all(_has_number([cell], decimal) for cell in beginning[head - 1])
+    elif 0 < head <= len(beginning) and all(
+        _has_number([cell], decimal) for cell in beginning[head - 1]
     ):
         raise BagError(f"no names in line {head}; accepted: header, their line, or 0 for none")
     widths = Counter(map(len, beginning[head:]))
@@ -294,14 +286,15 @@ def _text_columns(path: Path, mapping: LogMapping) -> _Table:
     rows = pa.ListArray.from_arrays([0, count], lines[head:])
     whole = pc.binary_join(rows, "\n")[0].as_buffer()
     del rows, lines
+    fields = [str(place) for place in range(width)]
     try:
         table = pa_csv.read_csv(
             pa.BufferReader(whole),
-            pa_csv.ReadOptions(use_threads=False, column_names=list(map(str, range(width)))),
+            pa_csv.ReadOptions(use_threads=False, column_names=fields),
             pa_csv.ParseOptions(delimiter=delimiter, invalid_row_handler=note_torn),
             pa_csv.ConvertOptions(
-                column_types=dict.fromkeys(map(str, range(width)), pa.string()),
-                include_columns=sorted({str(place) for place in places.values()}),
+                column_types=dict.fromkeys(fields, pa.string()),
+                include_columns=[fields[place] for place in {*places.values()}],
             ),
         )
     except pa.ArrowInvalid as error:
@@ -309,7 +302,7 @@ def _text_columns(path: Path, mapping: LogMapping) -> _Table:
     if table.num_rows + len(torn) != count:
         raise BagError("a quotation mark without a second one in its line; accepted: pairs of them")
     columns = {
-        column: pc.utf8_trim_whitespace(table[str(place)]) for column, place in places.items()
+        column: pc.utf8_trim_whitespace(table[fields[place]]) for column, place in places.items()
     }
     result = _Table(columns, decimal, np.delete(numbers, torn)[head:])
     result.torn = numbers[torn]

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import FIELDS, quantities
@@ -71,7 +71,6 @@ _Column: TypeAlias = Annotated[
 ]
 _Numbers: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=1)]
 _NotZeros: TypeAlias = Annotated[tuple[NotZero, ...], Field(strict=False, min_length=1)]
-_UNIT = Field(description="Unit in the log.")
 
 
 def _check_once(values: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -83,26 +82,28 @@ def _check_once(values: tuple[Any, ...]) -> tuple[Any, ...]:
 class FieldColumns(FileModel):
     """Where an array comes from."""
 
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
     columns: Annotated[
         tuple[_Column, ...],
         Field(
             strict=False,
             min_length=1,
-            description="A column for each name.",
             json_schema_extra={"accepted": "a list of columns, one for each name, each once"},
         ),
         AfterValidator(_check_once),
     ]
-    unit: Annotated[str, _UNIT]
+    """A column for each name."""
+    unit: str
     factor: Annotated[
         NotZero | _NotZeros,
         Field(
-            description="What the log's numbers are multiplied by: one number, or one for each name.",
             json_schema_extra={
                 "accepted": "a number other than 0, or a list of them, one for each name"
-            },
+            }
         ),
     ] = 1.0
+    """What the log's numbers are multiplied by: one number, or one for each name."""
 
     @property
     def factors(self) -> tuple[float, ...]:
@@ -115,19 +116,22 @@ class FieldColumns(FileModel):
 class PositionColumns(FieldColumns):
     """Where each joint's position comes from."""
 
-    unit: Annotated[Literal["rad", "deg", "turns"], _UNIT]
+    unit: Literal["rad", "deg", "turns"]
+    """Unit in the log."""
 
 
 class VelocityColumns(FieldColumns):
     """Where each joint's velocity comes from."""
 
-    unit: Annotated[Literal["rad/s", "deg/s", "rpm"], _UNIT]
+    unit: Literal["rad/s", "deg/s", "rpm"]
+    """Unit in the log."""
 
 
 class EffortColumns(FieldColumns):
     """Where each joint's effort comes from."""
 
-    unit: Annotated[Literal["Nm", "mNm", "A", "mA", "rad/s^2"], _UNIT]
+    unit: Literal["Nm", "mNm", "A", "mA", "rad/s^2"]
+    """Unit in the log."""
 
 
 class TimeColumn(FileModel):
@@ -184,42 +188,22 @@ class MessageColumns(FileModel):
 class SignalMapFile(MessageColumns):
     """What a log holds: columns of a table, or messages of a bag."""
 
-    topic: Annotated[
-        str | None,
-        Field(
-            description="JointState topic of a bag, or that of a table, joint_states by default."
-        ),
-    ] = None
-    topics: Annotated[
-        Some[MessageColumns] | None,
-        Field(description="Topics of a table that holds several, by name."),
-    ] = None
-    gear: Annotated[
-        _NotZeros | None,
-        Field(
-            description="Motor turns per joint turn: says that the log holds the motors' states."
-        ),
-    ] = None
-    coupling: Annotated[
-        _Numbers | None,
-        Field(
-            description="Turns of each motor per joint turn without the gears, row by row, n x n."
-        ),
-    ] = None
-    torque_constant: Annotated[
-        _NotZeros | None,
-        Field(description="Torque per unit of effort, where effort is a current, Nm/A."),
-    ] = None
-    zero: Annotated[
-        _Numbers | None,
-        Field(description="Recorded angle of each joint where its angle in the URDF is 0, rad."),
-    ] = None
-    spring: Annotated[
-        _Numbers | None,
-        Field(
-            description="Amplitude k of a gravity-compensation spring on each joint, torque -k sin(q), Nm."
-        ),
-    ] = None
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    topic: str | None = None
+    """JointState topic of a bag, or that of a table, joint_states by default."""
+    topics: Some[MessageColumns] | None = None
+    """Topics of a table that holds several, by name."""
+    gear: _NotZeros | None = None
+    """Motor turns per joint turn: says that the log holds the motors' states."""
+    coupling: _Numbers | None = None
+    """Turns of each motor per joint turn without the gears, row by row, n x n."""
+    torque_constant: _NotZeros | None = None
+    """Torque per unit of effort, where effort is a current, Nm/A."""
+    zero: _Numbers | None = None
+    """Recorded angle of each joint where its angle in the URDF is 0, rad."""
+    spring: _Numbers | None = None
+    """Amplitude k of a gravity-compensation spring on each joint, torque -k sin(q), Nm."""
     torque_delay: Annotated[
         float | None,
         quantity(
@@ -229,34 +213,26 @@ class SignalMapFile(MessageColumns):
             le=0.2,
         ),
     ] = None
-    record_time: Annotated[
-        bool, Field(description="Whether a bag's times of recording replace the stamps.")
-    ] = False
+    record_time: bool = False
+    """Whether a bag's times of recording replace the stamps."""
     time: TimeColumn | None = None
     rate: Annotated[
         float | None,
         quantity("Hz", "Rows per second, where no column holds the times.", ge=1e-3, le=1e6),
     ] = None
-    delimiter: Annotated[
-        Literal[",", ";", "tab", "space"] | None,
-        Field(description="Between columns; found out if left out."),
-    ] = None
-    decimal: Annotated[
-        Literal[".", ","] | None, Field(description="Decimal sign; found out if left out.")
-    ] = None
-    header: Annotated[
-        int | None,
-        Field(ge=0, le=1000, description="Lines before the first row; found out if left out."),
-    ] = None
-    exact: Annotated[
-        bool, Field(description="Numbers and times are taken as they stand: NaN, any order.")
-    ] = False
+    delimiter: Literal[",", ";", "tab", "space"] | None = None
+    """Between columns; found out if left out."""
+    decimal: Literal[".", ","] | None = None
+    """Decimal sign; found out if left out."""
+    header: Annotated[int | None, Field(ge=0, le=1000)] = None
+    """Lines before the first row; found out if left out."""
+    exact: bool = False
+    """Numbers and times are taken as they stand: NaN, any order."""
 
     @model_validator(mode="after")
     def _check_keys(self) -> SignalMapFile:
-        given = [
-            key for key, value in (("time", self.time), ("rate", self.rate)) if value is not None
-        ]
+        times = {"time": self.time, "rate": self.rate}
+        given = [key for key, value in times.items() if value is not None]
         if len(given) != (1 if self.by_topic else 0):
             accepted = "one of them" if self.by_topic else f"with topics, {', '.join(FIELDS)}"
             raise ValueError(
@@ -331,21 +307,10 @@ def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
 
 def exported_mapping(series: JointSeries) -> str:
     """Return the signal map by which the CSV file of a series, as it is exported, is read again."""
-    columns: dict[str, Any] = {"names": list(series.names)}
-    first = 2
-    for name in series.fields:
-        columns[name] = {
-            "columns": list(range(first, first + len(series.names))),
-            "unit": series.units[name],
-        }
-        first += len(series.names)
-    time = {"column": 1, "unit": "s"}
-    return yaml_text(
-        {
-            "exact": True,
-            "delimiter": ",",
-            "header": 1,
-            "time": time,
-            "topics": {series.topic: columns},
-        }
-    )
+    content: dict[str, Any] = {"names": list(series.names)}
+    count = len(series.names)
+    for k, name in enumerate(series.fields):
+        columns = [2 + k * count + joint for joint in range(count)]
+        content[name] = {"columns": columns, "unit": series.units[name]}
+    layout = {"exact": True, "delimiter": ",", "header": 1, "time": {"column": 1, "unit": "s"}}
+    return yaml_text({**layout, "topics": {series.topic: content}})

@@ -63,7 +63,7 @@ class Dated(NamedTuple):
 
     def take(self, rows: NDArray[np.intp]) -> Dated:
         """Return the messages of these rows."""
-        return Dated(self.log_ns[rows], self.topic[rows], self.messages[rows])
+        return Dated(*(column[rows] for column in self))
 
 
 class LogOrder:
@@ -146,11 +146,7 @@ class LogOrder:
         """Return the messages with log times up to `last`, in order, and hold the others."""
         if not self._held:
             return None
-        held = Dated(
-            np.concatenate([part.log_ns for part in self._held]),
-            np.concatenate([part.topic for part in self._held]),
-            np.concatenate([part.messages for part in self._held]),
-        )
+        held = Dated(*map(np.concatenate, zip(*self._held, strict=True)))
         order = np.lexsort((held.topic, held.log_ns))  # stable: the rest is in order of arrival
         end = int(np.searchsorted(held.log_ns[order], last, side="right"))
         released = held.take(order[:end])

@@ -74,22 +74,22 @@ class BagReader:
 
             self.table = read_log(self.path, self._mapping).series
             self.effort_units = {series.topic: series.effort_unit for series in self.table}
-            return self
         with ExitStack() as stack:
-            for file in self._storage_files():
+            stack.enter_context(located(plain(self.path), BagError))
+            for file in () if self.table else self._storage_files():
                 with self._damage(file):
                     self._readers[file] = stack.enter_context(open_storage(file))
             held = sum(topic.count for topic in self.topics)
             if self._stated is not None and held != self._stated:
                 raise BagError(
-                    f"{plain(self.path)}: {FILE} says {quoted(self._stated)} messages, the storage holds {held}; "
+                    f"{FILE} says {quoted(self._stated)} messages, the storage holds {held}; "
                     "'ros2 bag reindex' writes it anew, and each storage file can be read by its own path"
                 )
             self._stack = stack.pop_all()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self._stack.close()
+    def __exit__(self, *error: Any) -> None:
+        self._stack.__exit__(*error)
 
     @property
     def topics(self) -> list[BagTopic]:
@@ -128,32 +128,29 @@ class BagReader:
         """Return the message as rosbags builds it."""
         store = _typestore(Stores.ROS1_NOETIC if topic.is_ros1 else Stores.ROS2_JAZZY)
         if topic.msgtype not in store.fielddefs:
-            kind = plain(topic.msgtype)
             raise BagError(
-                f"{plain(self.path)}: {plain(topic.name)} is {kind}, which is not known here"
+                f"{plain(topic.name)} is {plain(topic.msgtype)}, which is not known here"
             )
+        deserialize = store.deserialize_ros1 if topic.is_ros1 else store.deserialize_cdr
         try:
-            return (store.deserialize_ros1 if topic.is_ros1 else store.deserialize_cdr)(
-                data, topic.msgtype
-            )
+            return deserialize(data, topic.msgtype)
         except Exception as error:  # rosbags has no error of its own for bytes that do not fit
-            what = f"a message of {plain(topic.name)} is no {plain(topic.msgtype)} ({type(error).__name__})"
-            raise BagError(f"{plain(self.path)}: damaged: {what}") from error
+            fault = f"a message of {plain(topic.name)} is no {plain(topic.msgtype)}"
+            raise BagError(f"damaged: {fault} ({type(error).__name__})") from error
 
     def _storage_files(self) -> list[Path]:
         """Return the path itself, or the files that metadata.yaml names; note what else that says."""
-        where = plain(self.path)
         if self.path.is_file():
             return [self.path]
         metadata = self.path / FILE
         if not metadata.exists():  # to open a pipe would wait for a writer
             raise BagError(
-                f"{where}: no bag, or without {FILE}, which 'ros2 bag reindex' writes; accepted: {ACCEPTED}"
+                f"no bag, or without {FILE}, which 'ros2 bag reindex' writes; accepted: {ACCEPTED}"
             )
         try:
             content = read_yaml(metadata)
         except ConfigError as error:
-            raise BagError(f"{where}: {str(error).removeprefix(f'{where}/')}") from error
+            raise BagError(str(error).removeprefix(f"{plain(self.path)}/")) from error
         with self._damage(metadata):
             information = content["rosbag2_bagfile_information"]
             self._stated = information["message_count"]
@@ -165,17 +162,17 @@ class BagReader:
             ]
         for file in files:
             if not file.is_file():
-                raise BagError(f"{where}: {plain(file.name)} is missing, which {FILE} names")
+                raise BagError(f"{plain(file.name)} is missing, which {FILE} names")
         return files
 
     @contextmanager
     def _damage(self, file: Path) -> Iterator[None]:
-        """Prefix messages about a storage file with bag and file."""
+        """Let messages about a storage file begin with its name."""
         try:
             with library_errors():
                 yield
         except BagError as error:
-            raise BagError(f"{plain(self.path)}: {plain(file.name)} {error}") from error
+            raise BagError(f"{plain(file.name)} {error}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,10 +191,14 @@ class JointBag:
     series: dict[str, list[JointSeries]]
 
     @property
+    def parts(self) -> list[JointSeries]:
+        """Return the series of all topics."""
+        return [*chain.from_iterable(self.series.values())]
+
+    @property
     def begin_ns(self) -> int:
         """Return the first stamp, ns."""
-        series = chain.from_iterable(self.series.values())
-        stamps = [int(part.stamp_ns.min()) for part in series if len(part.stamp_ns)]
+        stamps = [int(part.stamp_ns.min()) for part in self.parts if len(part.stamp_ns)]
         if not stamps:
             raise BagError(
                 f"{plain(self.path)}: holds no JointState message, so it has no start to be aligned"
@@ -248,7 +249,7 @@ def read_joint_bag(
         record_time: as `read_joint_states`.
         all_there: whether topics that are not there are refused.
     """
-    with BagReader(path, mapping) as bag, located(plain(path), BagError):
+    with BagReader(path, mapping) as bag:
         by_name = {topic.name: topic for topic in bag.topics if topic.is_joint_state}
         if all_there and topics is None and not any(topic.count for topic in by_name.values()):
             raise BagError(
@@ -262,12 +263,6 @@ def read_joint_bag(
                 kinds = [plain(topic.msgtype) for topic in bag.topics if topic.name == name]
                 fault = f"{plain(name)} is {kinds[0]}" if kinds else f"no topic {plain(name)}"
                 raise BagError(f"{fault}; JointState topics: {listed(by_name) or 'none'}")
-        if bag.table:
-            return JointBag(
-                bag.path,
-                bag.topics,
-                {s.topic: [s] for s in bag.table if by_name[s.topic] in wanted},
-            )
         builders = {
             topic: SeriesBuilder(topic, bag.effort_units, partial(bag.deserialize, topic))
             for topic in wanted
@@ -277,11 +272,9 @@ def read_joint_bag(
             builders[topic].add(data, log_ns if record_time else None)
             if done % _STEP == 0 or done == total > _STEP:
                 progress(done, total)
-        return JointBag(
-            bag.path,
-            bag.topics,
-            {topic.name: builder.build() for topic, builder in builders.items()},
-        )
+        series = {topic.name: builder.build() for topic, builder in builders.items()}
+        series |= {part.topic: [part] for part in bag.table if part.topic in series}
+        return JointBag(bag.path, bag.topics, series)
 
 
 def read_joint_states(

@@ -24,7 +24,7 @@ from backports import zstd
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Chunk
-from rosbags.interfaces import Connection, ConnectionExtRosbag2
+from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag1.reader import Header, RecordType
 from rosbags.rosbag2.storage_mcap import McapReader
@@ -94,8 +94,7 @@ def full_type(msgtype: str) -> str:
 
 def topic_of(connection: Connection) -> BagTopic:
     """Return the topic of a connection as rosbags has it."""
-    form = connection.ext
-    encoding = form.serialization_format if isinstance(form, ConnectionExtRosbag2) else "ros1"
+    encoding = getattr(connection.ext, "serialization_format", "ros1")
     return BagTopic(connection.topic, full_type(connection.msgtype), connection.msgcount, encoding)
 
 

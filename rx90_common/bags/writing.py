@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from itertools import chain
@@ -32,12 +32,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
-from rx90_common.bags.topics import (
-    EFFORT_UNIT,
-    JOINT_STATE,
-    STRING,
-    absolute,
-)
+from rx90_common.bags.topics import EFFORT_UNIT, JOINT_STATE, STRING, absolute
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError, check_bag_name
 from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
@@ -120,13 +115,16 @@ def typestore() -> Typestore:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-def offered_qos(*, reliable: bool = True, transient_local: bool = False) -> Qos:
+def offered_qos(
+    reliability: QosReliability = QosReliability.RELIABLE,
+    durability: QosDurability = QosDurability.VOLATILE,
+) -> Qos:
     """Return a publisher's quality of service as a recorder receives it: its depth is not announced."""
     return Qos(
         history=QosHistory.UNKNOWN,
         depth=0,
-        reliability=QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
-        durability=QosDurability.TRANSIENT_LOCAL if transient_local else QosDurability.VOLATILE,
+        reliability=reliability,
+        durability=durability,
         deadline=_INFINITE,
         lifespan=_INFINITE,
         liveliness=QosLiveliness.AUTOMATIC,
@@ -276,10 +274,7 @@ def named_at_the_end(path: Path) -> Iterator[Path]:
 
 
 def write_joint_states(
-    path: Path | str,
-    series: Sequence[JointSeries],
-    *,
-    messages: Sequence[SingleMessage] = (),
+    path: Path | str, series: Sequence[JointSeries], *, messages: Sequence[SingleMessage] = ()
 ) -> None:
     """Write a bag as if nodes had published these series and the recorder had recorded them.
 
@@ -310,12 +305,12 @@ def write_joint_states(
         latched: dict[str, int] = {}
         for single in messages:
             if single.topic not in latched:
-                qos = offered_qos(transient_local=True)
+                qos = offered_qos(durability=QosDurability.TRANSIENT_LOCAL)
                 latched[single.topic] = bag.add_topic(single.topic, single.message.__msgtype__, qos)
             bag.write_many(
                 np.array([latched[single.topic]]), np.array([single.log_ns]), [single.cdr]
             )
-        encoders = [_encoder(part) for part in series]
+        codecs = [JointStateCodec(part.names) for part in series]
         counts = [len(part.stamp_ns) for part in series]
         log_ns = np.concatenate([np.empty(0, dtype=np.int64), *(part.stamp_ns for part in series)])
         source = np.repeat(np.arange(len(series)), counts)
@@ -324,20 +319,9 @@ def write_joint_states(
         for begin in range(0, len(order), _MESSAGES_AT_ONCE):
             rows = order[begin : begin + _MESSAGES_AT_ONCE]
             block = np.empty(len(rows), dtype=object)
-            for k, encode in enumerate(encoders):
+            for k, codec in enumerate(codecs):
                 of_series = source[rows] == k
-                block[of_series] = encode(rows[of_series] - first_rows[k])
+                part = series[k].take(rows[of_series] - first_rows[k])
+                data = codec.encode_many(part.stamp_ns, part.position, part.velocity, part.effort)
+                block[of_series] = data.view(f"V{data.shape[1]}")[:, 0].tolist()
             bag.write_many(np.array(numbers)[source[rows]], log_ns[rows], block.tolist())
-
-
-def _encoder(series: JointSeries) -> Callable[[Int64Array], list[bytes]]:
-    """Return a function that returns the messages of some rows of a series."""
-    codec = JointStateCodec(series.names)
-
-    def encode(rows: Int64Array) -> list[bytes]:
-        part = series.take(rows)
-        data = codec.encode_many(part.stamp_ns, part.position, part.velocity, part.effort)
-        messages: list[bytes] = data.view(f"V{data.shape[1]}")[:, 0].tolist()
-        return messages
-
-    return encode

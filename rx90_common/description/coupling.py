@@ -15,15 +15,15 @@ that arms with as many joints and elements share the compiled code.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numba.core import types
 
-from rx90_common.base.arrays import MAX_JOINTS, Array
+from rx90_common.base.arrays import MAX_JOINTS, Array, record_type
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import counted, listed
 from rx90_common.kernels.compiled import by_type, inlined, kernel
@@ -193,7 +193,7 @@ def gear_field(name: str, arm: ArmSize) -> tuple[Any, ...]:
     if wrist:
         return name, np.float64, joints
     shapes: dict[str, Any] = {
-        "ratio": (joints,),
+        "ratio": joints,
         "motor": (joints, joints),  # turns of motors (row) for joints
         "motor_columns": (joints, joints),
         "joint": (joints, joints),  # turns of joints for motors
@@ -201,16 +201,27 @@ def gear_field(name: str, arm: ArmSize) -> tuple[Any, ...]:
         "element": (elements, joints),  # turns of friction elements for joints
         "element_columns": (joints, elements),
         "belongs": (joints, elements),  # columns: which motor belongs to an element
-        # columns: share of the joints' torques that goes through an element
-        "passed": (joints, elements),
+        "passed": (joints, elements),  # columns: share of the joints' torques, through an element
     }
-    numbers = [(key, np.float64, shape) for key, shape in shapes.items()]
-    return name, np.dtype([*numbers, ("element_of_motor", np.int64, (joints,))], align=True)
+    return name, record_type(("element_of_motor", np.int64, (joints,)), **shapes)
 
 
-def has_matrices(gear: Any) -> bool:
-    """Return whether numba's type of gears is that of a record with matrices, not of an array of ratios."""
-    return isinstance(gear, types.Record)
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def by_gear(of_wrist: Callable[..., Any], of_matrices: _Function) -> _Function:
+    """Return a function for kernels, whose first argument is the gears: an array of ratios, or a record with matrices.
+
+    Args:
+        of_wrist: compiled for an array, the gears of the RX family.
+        of_matrices: compiled for a record, the gears of any other arm; with the same arguments.
+    """
+
+    def choose(gear: Any, *_: Any) -> Any:
+        return of_matrices if isinstance(gear, types.Record) else of_wrist
+
+    choose.__qualname__ = of_matrices.__qualname__
+    return cast(_Function, by_type(choose))
 
 
 @inlined
@@ -231,14 +242,8 @@ def times_lanes(columns: Any, x: Lanes) -> Lanes:
     return total
 
 
-@by_type
-def ratios(gear: Any) -> Any:
-    """Return the gear ratios of the motors, shape (n,)."""
-
-    def of_matrices(gear: Any) -> Any:
-        return gear.ratio
-
-    return of_matrices if has_matrices(gear) else (lambda gear: gear)
+ratios: Callable[[Any], Array] = by_gear(lambda gear: gear, lambda gear: gear.ratio)
+"""Return the gear ratios of the motors, shape (n,)."""
 
 
 @kernel
@@ -250,17 +255,17 @@ def to_motor(gear: Any, joint: Array, motor: Array) -> None:
     _to_motor(gear, joint, motor)
 
 
-@by_type
-def _to_motor(gear: Any, joint: Any, motor: Any) -> Any:  # noqa: ARG001 - the kernels name them alike
-    def of_wrist(gear: Array, joint: Array, motor: Array) -> None:
-        for i in range(5):
-            motor[i] = gear[i] * joint[i]
-        motor[5] = gear[5] * (joint[4] + joint[5])
+def _to_motor_of_wrist(gear: Array, joint: Array, motor: Array) -> None:
+    for i in range(5):
+        motor[i] = gear[i] * joint[i]
+    motor[5] = gear[5] * (joint[4] + joint[5])
 
-    def of_matrices(gear: Any, joint: Array, motor: Array) -> None:
-        store(motor, load(gear.ratio, size(gear.ratio)) * times(gear.motor_columns, joint))
 
-    return of_matrices if has_matrices(gear) else of_wrist
+def _to_motor_of_matrices(gear: Any, joint: Array, motor: Array) -> None:
+    store(motor, load(gear.ratio, size(gear.ratio)) * times(gear.motor_columns, joint))
+
+
+_to_motor = by_gear(_to_motor_of_wrist, _to_motor_of_matrices)
 
 
 @kernel
@@ -269,18 +274,18 @@ def to_joint(gear: Any, motor: Array, joint: Array) -> None:
     _to_joint(gear, motor, joint)
 
 
-@by_type
-def _to_joint(gear: Any, motor: Any, joint: Any) -> Any:  # noqa: ARG001 - as above
-    def of_wrist(gear: Array, motor: Array, joint: Array) -> None:
-        for i in range(5):
-            joint[i] = motor[i] / gear[i]
-        joint[5] = motor[5] / gear[5] - joint[4]
+def _to_joint_of_wrist(gear: Array, motor: Array, joint: Array) -> None:
+    for i in range(5):
+        joint[i] = motor[i] / gear[i]
+    joint[5] = motor[5] / gear[5] - joint[4]
 
-    def of_matrices(gear: Any, motor: Array, joint: Array) -> None:
-        at_joints = load(motor, size(gear.ratio)) / load(gear.ratio, size(gear.ratio))
-        store(joint, times_lanes(gear.joint_columns, at_joints))
 
-    return of_matrices if has_matrices(gear) else of_wrist
+def _to_joint_of_matrices(gear: Any, motor: Array, joint: Array) -> None:
+    at_joints = load(motor, size(gear.ratio)) / load(gear.ratio, size(gear.ratio))
+    store(joint, times_lanes(gear.joint_columns, at_joints))
+
+
+_to_joint = by_gear(_to_joint_of_wrist, _to_joint_of_matrices)
 
 
 @kernel
@@ -289,22 +294,20 @@ def to_joint_torque(gear: Any, motor: Array, joint: Array) -> None:
     _to_joint_torque(gear, motor, joint)
 
 
-@by_type
-def _to_joint_torque(gear: Any, motor: Any, joint: Any) -> Any:  # noqa: ARG001 - as above
-    def of_wrist(gear: Array, motor: Array, joint: Array) -> None:
-        for i in range(6):
-            joint[i] = gear[i] * motor[i]
-        joint[4] += joint[5]
+def _to_joint_torque_of_wrist(gear: Array, motor: Array, joint: Array) -> None:
+    for i in range(6):
+        joint[i] = gear[i] * motor[i]
+    joint[4] += joint[5]
 
-    def of_matrices(gear: Any, motor: Array, joint: Array) -> None:
-        store(
-            joint,
-            times_lanes(
-                gear.motor, load(gear.ratio, size(gear.ratio)) * load(motor, size(gear.ratio))
-            ),
-        )
 
-    return of_matrices if has_matrices(gear) else of_wrist
+def _to_joint_torque_of_matrices(gear: Any, motor: Array, joint: Array) -> None:
+    store(
+        joint,
+        times_lanes(gear.motor, load(gear.ratio, size(gear.ratio)) * load(motor, size(gear.ratio))),
+    )
+
+
+_to_joint_torque = by_gear(_to_joint_torque_of_wrist, _to_joint_torque_of_matrices)
 
 
 @kernel
@@ -313,121 +316,121 @@ def to_motor_torque(gear: Any, joint: Array, motor: Array) -> None:
     _to_motor_torque(gear, joint, motor)
 
 
-@by_type
-def _to_motor_torque(gear: Any, joint: Any, motor: Any) -> Any:  # noqa: ARG001 - as above
-    def of_wrist(gear: Array, joint: Array, motor: Array) -> None:
-        for i in range(6):
-            motor[i] = joint[i] / gear[i]
-        motor[4] = (joint[4] - joint[5]) / gear[4]
-
-    def of_matrices(gear: Any, joint: Array, motor: Array) -> None:
-        store(motor, times(gear.joint, joint) / load(gear.ratio, size(gear.ratio)))
-
-    return of_matrices if has_matrices(gear) else of_wrist
+def _to_motor_torque_of_wrist(gear: Array, joint: Array, motor: Array) -> None:
+    for i in range(6):
+        motor[i] = joint[i] / gear[i]
+    motor[4] = (joint[4] - joint[5]) / gear[4]
 
 
-@by_type
-def add_drive_torques(gear: Any, drive: Any, torque: Any) -> Any:  # noqa: ARG001 - as above
-    """Add torques of the motors, converted by their gears, Nm, to those of the joints, both shape (n,)."""
-
-    def of_wrist(gear: Array, drive: Array, torque: Array) -> None:  # noqa: ARG001 - as above
-        for i in range(6):
-            torque[i] += drive[i]
-        torque[4] += drive[5]
-
-    def of_matrices(gear: Any, drive: Array, torque: Array) -> None:
-        store(torque, load(torque, size(gear.ratio)) + times(gear.motor, drive))
-
-    return of_matrices if has_matrices(gear) else of_wrist
+def _to_motor_torque_of_matrices(gear: Any, joint: Array, motor: Array) -> None:
+    store(motor, times(gear.joint, joint) / load(gear.ratio, size(gear.ratio)))
 
 
-@by_type
-def share_among_drives(gear: Any, torque: Any, drive: Any) -> Any:  # noqa: ARG001 - as above
-    """Write the motor torques, converted by their gears, that produce those of the joints, Nm, shape (n,)."""
-
-    def of_wrist(gear: Array, torque: Array, drive: Array) -> None:  # noqa: ARG001 - as above
-        for i in range(6):
-            drive[i] = torque[i] - (torque[5] if i == 4 else 0.0)
-
-    def of_matrices(gear: Any, torque: Array, drive: Array) -> None:
-        store(drive, times(gear.joint, torque))
-
-    return of_matrices if has_matrices(gear) else of_wrist
+_to_motor_torque = by_gear(_to_motor_torque_of_wrist, _to_motor_torque_of_matrices)
 
 
-@by_type
-def joints_as_motors_have_them(gear: Any, motor: Any) -> Any:  # noqa: ARG001 - as above
-    """Return the joints' positions (or velocities) times the ratios of their own motors, for those of motors; lanes."""
-
-    def of_wrist(gear: Array, motor: Lanes) -> Lanes:
-        share = gear[5] / gear[4]
-        return append(first(motor, 5), lane(motor, 5) - share * lane(motor, 4))
-
-    def of_matrices(gear: Any, motor: Lanes) -> Lanes:
-        ratio = load(gear.ratio, size(gear.ratio))
-        return ratio * times_lanes(gear.joint_columns, motor / ratio)
-
-    return of_matrices if has_matrices(gear) else of_wrist
+def _add_drive_torques_of_wrist(_gear: Array, drive: Array, torque: Array) -> None:
+    for i in range(6):
+        torque[i] += drive[i]
+    torque[4] += drive[5]
 
 
-@by_type
-def add_twist(gear: Any, joint: Any, twist: Any, share: Any, total: Any) -> Any:  # noqa: ARG001 - as above
-    """Write the joints' positions (or velocities) and a share of how far twists of the drives move them, shape (n,)."""
-
-    def of_wrist(gear: Array, joint: Array, twist: Array, share: float, total: Array) -> None:  # noqa: ARG001 - as above
-        for i in range(6):
-            total[i] = joint[i] + share * twist[i]
-        total[5] -= share * twist[4]
-
-    def of_matrices(gear: Any, joint: Array, twist: Array, share: float, total: Array) -> None:
-        store(total, load(joint, size(gear.ratio)) + share * times(gear.joint_columns, twist))
-
-    return of_matrices if has_matrices(gear) else of_wrist
+def _add_drive_torques_of_matrices(gear: Any, drive: Array, torque: Array) -> None:
+    store(torque, load(torque, size(gear.ratio)) + times(gear.motor, drive))
 
 
-@by_type
-def turn_of_drive(gear: Any, joint: Any, drive: Any) -> Any:  # noqa: ARG001 - as above
-    """Return the turn of a motor, divided by its gear ratio, for turns of the joints, shape (n,)."""
-
-    def of_wrist(gear: Array, joint: Array, drive: int) -> float:  # noqa: ARG001 - as above
-        turn: float = joint[drive] + joint[4] if drive == 5 else joint[drive]
-        return turn
-
-    def of_matrices(gear: Any, joint: Array, drive: int) -> float:
-        turn = 0.0
-        for k in range(size(gear.ratio)):
-            turn += gear.motor[drive, k] * joint[k]
-        return turn
-
-    return of_matrices if has_matrices(gear) else of_wrist
+add_drive_torques = by_gear(_add_drive_torques_of_wrist, _add_drive_torques_of_matrices)
+"""Add torques of the motors, converted by their gears, Nm, to those of the joints, both shape (n,)."""
 
 
-@by_type
-def add_drive(gear: Any, drive: Any, inertia: Any, torque: Any, mass: Any, joint: Any) -> Any:  # noqa: ARG001
-    """Add inertia and torque of a motor, through its gear, to mass matrix (lower half) and torques of the joints."""
+def _share_among_drives_of_wrist(_gear: Array, torque: Array, drive: Array) -> None:
+    for i in range(6):
+        drive[i] = torque[i] - (torque[5] if i == 4 else 0.0)
 
-    def of_wrist(
-        gear: Array,  # noqa: ARG001
-        drive: int,
-        inertia: float,
-        torque: float,
-        mass: Array,
-        joint: Array,
-    ) -> None:
-        mass[drive, drive] += inertia
-        joint[drive] += torque
-        if drive == 5:
-            mass[4, 4] += inertia
-            mass[5, 4] += inertia
-            joint[4] += torque
 
-    def of_matrices(
-        gear: Any, drive: int, inertia: float, torque: float, mass: Array, joint: Array
-    ) -> None:
-        for i in range(size(gear.ratio)):
-            turn = gear.motor[drive, i]
-            joint[i] += turn * torque
-            for k in range(i + 1):
-                mass[i, k] += turn * gear.motor[drive, k] * inertia
+def _share_among_drives_of_matrices(gear: Any, torque: Array, drive: Array) -> None:
+    store(drive, times(gear.joint, torque))
 
-    return of_matrices if has_matrices(gear) else of_wrist
+
+share_among_drives = by_gear(_share_among_drives_of_wrist, _share_among_drives_of_matrices)
+"""Write the motor torques, converted by their gears, that produce those of the joints, Nm, shape (n,)."""
+
+
+def _joints_as_motors_have_them_of_wrist(gear: Array, motor: Lanes) -> Lanes:
+    share = gear[5] / gear[4]
+    return append(first(motor, 5), lane(motor, 5) - share * lane(motor, 4))
+
+
+def _joints_as_motors_have_them_of_matrices(gear: Any, motor: Lanes) -> Lanes:
+    ratio = load(gear.ratio, size(gear.ratio))
+    return ratio * times_lanes(gear.joint_columns, motor / ratio)
+
+
+joints_as_motors_have_them = by_gear(
+    _joints_as_motors_have_them_of_wrist, _joints_as_motors_have_them_of_matrices
+)
+"""Return the joints' positions (or velocities) times the ratios of their own motors, for those of motors; lanes."""
+
+
+def _add_twist_of_wrist(
+    _gear: Array, joint: Array, twist: Array, share: float, total: Array
+) -> None:
+    for i in range(6):
+        total[i] = joint[i] + share * twist[i]
+    total[5] -= share * twist[4]
+
+
+def _add_twist_of_matrices(
+    gear: Any, joint: Array, twist: Array, share: float, total: Array
+) -> None:
+    store(total, load(joint, size(gear.ratio)) + share * times(gear.joint_columns, twist))
+
+
+add_twist = by_gear(_add_twist_of_wrist, _add_twist_of_matrices)
+"""Write the joints' positions (or velocities) and a share of how far twists of the drives move them, shape (n,)."""
+
+
+def _turn_of_drive_of_wrist(_gear: Array, joint: Array, drive: int) -> float:
+    turn: float = joint[drive] + joint[4] if drive == 5 else joint[drive]
+    return turn
+
+
+def _turn_of_drive_of_matrices(gear: Any, joint: Array, drive: int) -> float:
+    turn = 0.0
+    for k in range(size(gear.ratio)):
+        turn += gear.motor[drive, k] * joint[k]
+    return turn
+
+
+turn_of_drive = by_gear(_turn_of_drive_of_wrist, _turn_of_drive_of_matrices)
+"""Return the turn of a motor, divided by its gear ratio, for turns of the joints, shape (n,)."""
+
+
+def _add_drive_of_wrist(
+    _gear: Array,
+    drive: int,
+    inertia: float,
+    torque: float,
+    mass: Array,
+    joint: Array,
+) -> None:
+    mass[drive, drive] += inertia
+    joint[drive] += torque
+    if drive == 5:
+        mass[4, 4] += inertia
+        mass[5, 4] += inertia
+        joint[4] += torque
+
+
+def _add_drive_of_matrices(
+    gear: Any, drive: int, inertia: float, torque: float, mass: Array, joint: Array
+) -> None:
+    for i in range(size(gear.ratio)):
+        turn = gear.motor[drive, i]
+        joint[i] += turn * torque
+        for k in range(i + 1):
+            mass[i, k] += turn * gear.motor[drive, k] * inertia
+
+
+add_drive = by_gear(_add_drive_of_wrist, _add_drive_of_matrices)
+"""Add inertia and torque of a motor, through its gear, to mass matrix (lower half) and torques of the joints."""

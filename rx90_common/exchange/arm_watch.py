@@ -10,7 +10,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
@@ -19,7 +19,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError, MessageError
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange.cdr import JointStateCodec
-from rx90_common.exchange.endpoints import ManualCallbackGroup, never_called
+from rx90_common.exchange.endpoints import LATCHED_QOS, ManualCallbackGroup, never_called
 from rx90_common.exchange.ros_start import controller_topic
 from rx90_common.exchange.topics import SAMPLED, TIME_MODE, TRAJECTORY_ACCEPTED, TimeMode
 
@@ -36,11 +36,8 @@ class _Newest:
     def __init__(
         self, node: Node, kind: Any, topic: str, depth: int = 1, *, latched: bool = False
     ) -> None:
-        profile = QoSProfile(
-            depth=depth,
-            reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-        )
+        newest = QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+        profile = LATCHED_QOS if latched else newest
         self._kind = kind
         self._depth = depth
         self._raw = kind is JointState

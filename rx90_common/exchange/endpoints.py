@@ -24,7 +24,6 @@ from rclpy.qos import (
     QoSCompatibility,
     QoSPolicyKind,
     QoSProfile,
-    ReliabilityPolicy,
     qos_check_compatible,
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -50,22 +49,18 @@ _SHARE = 0.75  # of the publishers' history that is sent before the next wait
 _PATIENCE = 6.0  # s; the lease of a process that was killed, in config/dds, is 5 s
 
 
-def _reliable(depth: int, *, latched: bool = False) -> QoSProfile:
-    """Return a profile that keeps `depth` messages, `latched` also for subscribers that come later."""
-    durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
-
-
+# All are reliable, as rclpy has it by default.
 # Deep enough that a recorder which does not run for a second loses nothing. KEEP_ALL would stop the tick instead, for
 # as long as the lease of a recorder that was killed.
-TICK_QOS: Final = _reliable(8000)
-STATE_QOS: Final = _reliable(2000)
-CLOCK_QOS: Final = _reliable(10)
-LATCHED_QOS: Final = _reliable(1, latched=True)
+TICK_QOS: Final = QoSProfile(depth=8000)
+STATE_QOS: Final = QoSProfile(depth=2000)
+CLOCK_QOS: Final = QoSProfile(depth=10)
+# Also for subscribers that come later.
+LATCHED_QOS: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # A burst is answered one by one, each with a line of its own; planning takes longer than sending.
-TRAJECTORY_QOS: Final = _reliable(1000)
+TRAJECTORY_QOS: Final = QoSProfile(depth=1000)
 # ROS keeps 10 requests that wait for their turn, and drops the next ones without a word.
-REQUEST_QOS: Final = _reliable(2000)
+REQUEST_QOS: Final = QoSProfile(depth=2000)
 
 
 def ros_time(nanoseconds: int) -> Time:

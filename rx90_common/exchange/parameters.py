@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Annotated, Any, TypeVar
 
+import numpy as np
 from pydantic import Field, ValidationError, model_validator
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -18,7 +18,7 @@ from rcl_interfaces.msg import (
 )
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from rx90_common.base.errors import ConfigError, Rx90Error
@@ -51,6 +51,11 @@ _Group = tuple[
     tuple[str, ...], Callable[[Mapping[str, Any]], Any], Callable[[Any, Effective], None]
 ]
 _REMEMBERED = 100  # changes that a recorder gets which comes later
+_REAL_FOR_WHOLE = {
+    (Parameter.Type.INTEGER, Parameter.Type.DOUBLE),
+    (Parameter.Type.INTEGER_ARRAY, Parameter.Type.DOUBLE_ARRAY),
+}
+"""Types of values that may be given, and of those that are wanted."""
 AnyNodeModel = TypeVar("AnyNodeModel", bound="NodeModel")
 
 
@@ -255,10 +260,9 @@ class NodeParameters:
 
 def parameter_values(node: Node) -> dict[str, Any]:
     """Return the values of a node's declared parameters by name."""
-    values = {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
+    declared: Any = node.get_parameters_by_prefix("")  # rclpy's own annotation has values
     return {
-        name: value.tolist() if isinstance(value, array) else value
-        for name, value in values.items()
+        name: parameter_value_to_python(declared[name].get_parameter_value()) for name in declared
     }
 
 
@@ -351,13 +355,8 @@ class ParameterChanges:
 
     def _complete(self, given: Sequence[Parameter]) -> list[Parameter]:
         """Return a request with whole numbers made real ones where that is needed."""
-        known = self._node.has_parameter
-        return [
-            _with_real_numbers(each, self._node.get_parameter(each.name).value)
-            if known(each.name)
-            else each
-            for each in given
-        ]
+        declared: Any = self._node.get_parameters_by_prefix("")
+        return [_with_real_numbers(parameter, declared) for parameter in given]
 
     def _answer(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         try:
@@ -404,15 +403,9 @@ class ParameterChanges:
         self._publisher.publish(event)
 
 
-def _with_real_numbers(given: Parameter, usual: object) -> Parameter:
+def _with_real_numbers(given: Parameter, declared: Mapping[str, Parameter]) -> Parameter:
     """Return the parameter with integers converted to real numbers if these are required: 1 is as good as 1.0."""
-    if isinstance(usual, float) and given.type_ is Parameter.Type.INTEGER:
-        return Parameter(given.name, Parameter.Type.DOUBLE, float(given.value))
-    if (
-        not isinstance(usual, bool | int | float | str | bytes)
-        and given.type_ is Parameter.Type.INTEGER_ARRAY
-    ):
-        return Parameter(
-            given.name, Parameter.Type.DOUBLE_ARRAY, [float(number) for number in given.value]
-        )
-    return given
+    usual = declared.get(given.name, given).type_
+    if (given.type_, usual) not in _REAL_FOR_WHOLE:
+        return given
+    return Parameter(given.name, usual, np.asarray(given.value, np.float64).tolist())

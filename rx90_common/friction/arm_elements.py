@@ -9,40 +9,38 @@ from collections.abc import Sequence
 from typing import Any
 
 from rx90_common.base.arrays import Array
-from rx90_common.description.coupling import Coupling, has_matrices, times, times_lanes
+from rx90_common.description.coupling import Coupling, by_gear, times, times_lanes
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.step import fill_parts
-from rx90_common.kernels.compiled import by_type, inlined
+from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lanes import Lanes, append, first, lane, load, size, store
 
 
-@by_type
-def element_inputs(gear: Any, joint: Any) -> Any:  # noqa: ARG001 - the kernels name them alike
-    """Return the angles or velocities of the elements, which are also the brakes', for those of the joints."""
-
-    def of_wrist(gear: Array, joint: Array) -> Lanes:  # noqa: ARG001 - as above
-        return append(load(joint, 6), joint[4] + joint[5])
-
-    def of_matrices(gear: Any, joint: Array) -> Lanes:
-        return times(gear.element_columns, joint)
-
-    return of_matrices if has_matrices(gear) else of_wrist
+def _element_inputs_of_wrist(_gear: Array, joint: Array) -> Lanes:
+    return append(load(joint, 6), joint[4] + joint[5])
 
 
-@by_type
-def add_to_joints(gear: Any, joint: Any, torque: Any) -> Any:  # noqa: ARG001 - as above
-    """Add the torques of the elements to those of the joints, Nm, shape (n,)."""
+def _element_inputs_of_matrices(gear: Any, joint: Array) -> Lanes:
+    return times(gear.element_columns, joint)
 
-    def of_wrist(gear: Array, joint: Array, torque: Lanes) -> None:  # noqa: ARG001 - as above
-        store(joint, load(joint, 6) + first(torque, 6))
-        wrist = lane(torque, 6)
-        joint[4] += wrist
-        joint[5] += wrist
 
-    def of_matrices(gear: Any, joint: Array, torque: Lanes) -> None:
-        store(joint, load(joint, size(gear.ratio)) + times_lanes(gear.element, torque))
+element_inputs = by_gear(_element_inputs_of_wrist, _element_inputs_of_matrices)
+"""Return the angles or velocities of the elements, which are also the brakes', for those of the joints."""
 
-    return of_matrices if has_matrices(gear) else of_wrist
+
+def _add_to_joints_of_wrist(_gear: Array, joint: Array, torque: Lanes) -> None:
+    store(joint, load(joint, 6) + first(torque, 6))
+    wrist = lane(torque, 6)
+    joint[4] += wrist
+    joint[5] += wrist
+
+
+def _add_to_joints_of_matrices(gear: Any, joint: Array, torque: Lanes) -> None:
+    store(joint, load(joint, size(gear.ratio)) + times_lanes(gear.element, torque))
+
+
+add_to_joints = by_gear(_add_to_joints_of_wrist, _add_to_joints_of_matrices)
+"""Add the torques of the elements to those of the joints, Nm, shape (n,)."""
 
 
 @inlined
@@ -65,52 +63,49 @@ def transmit(
     share_among_elements(gear, transmitted)
 
 
-@by_type
-def share_among_elements(gear: Any, transmitted: Any) -> Any:  # noqa: ARG001 - as above
-    """Convert the torques of the n joints, Nm, to those of the elements, shape (e,).
-
-    A motor's element transmits the motor's torque, the element of a joint without a motor of its own the joint's
-    torque: on a wrist whose motor 6 turns with joints 5 and 6, the torque of link 6 passes through both.
-    """
-
-    def of_wrist(gear: Array, transmitted: Array) -> None:  # noqa: ARG001 - as above
-        transmitted[4] -= transmitted[5]
-        transmitted[6] = transmitted[5]
-
-    def of_matrices(gear: Any, transmitted: Array) -> None:
-        store(transmitted, times(gear.passed, transmitted))
-
-    return of_matrices if has_matrices(gear) else of_wrist
+def _share_among_elements_of_wrist(_gear: Array, transmitted: Array) -> None:
+    transmitted[4] -= transmitted[5]
+    transmitted[6] = transmitted[5]
 
 
-@by_type
-def element_of_motor(gear: Any, motor: Any) -> Any:  # noqa: ARG001 - as above
-    """Return the number of the element, and of the brake, that turns with a motor."""
-
-    def of_wrist(gear: Array, motor: int) -> int:  # noqa: ARG001 - as above
-        return motor if motor < 5 else 6
-
-    def of_matrices(gear: Any, motor: int) -> int:
-        element: int = gear.element_of_motor[motor]
-        return element
-
-    return of_matrices if has_matrices(gear) else of_wrist
+def _share_among_elements_of_matrices(gear: Any, transmitted: Array) -> None:
+    store(transmitted, times(gear.passed, transmitted))
 
 
-@by_type
-def of_motors(gear: Any, motor: Any) -> Any:  # noqa: ARG001 - as above
-    """Return the value of each element's motor, from values of the motors; both lanes.
+share_among_elements = by_gear(_share_among_elements_of_wrist, _share_among_elements_of_matrices)
+"""Convert the torques of the n joints, Nm, to those of the elements, shape (e,).
 
-    The element of a joint without a motor of its own gets a value that must not be used.
-    """
+A motor's element transmits the motor's torque, the element of a joint without a motor of its own the joint's
+torque: on a wrist whose motor 6 turns with joints 5 and 6, the torque of link 6 passes through both.
+"""
 
-    def of_wrist(gear: Array, motor: Lanes) -> Lanes:  # noqa: ARG001 - as above
-        return append(motor, lane(motor, 5))
 
-    def of_matrices(gear: Any, motor: Lanes) -> Lanes:
-        return times_lanes(gear.belongs, motor)
+def _element_of_motor_of_wrist(_gear: Array, motor: int) -> int:
+    return motor if motor < 5 else 6
 
-    return of_matrices if has_matrices(gear) else of_wrist
+
+def _element_of_motor_of_matrices(gear: Any, motor: int) -> int:
+    element: int = gear.element_of_motor[motor]
+    return element
+
+
+element_of_motor = by_gear(_element_of_motor_of_wrist, _element_of_motor_of_matrices)
+"""Return the number of the element, and of the brake, that turns with a motor."""
+
+
+def _of_motors_of_wrist(_gear: Array, motor: Lanes) -> Lanes:
+    return append(motor, lane(motor, 5))
+
+
+def _of_motors_of_matrices(gear: Any, motor: Lanes) -> Lanes:
+    return times_lanes(gear.belongs, motor)
+
+
+of_motors = by_gear(_of_motors_of_wrist, _of_motors_of_matrices)
+"""Return the value of each element's motor, from values of the motors; both lanes.
+
+The element of a joint without a motor of its own gets a value that must not be used.
+"""
 
 
 def fill_arm_parts(

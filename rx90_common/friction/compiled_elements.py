@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, record_type
 from rx90_common.friction.bristle import bristle_step, friction_torque
 from rx90_common.friction.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 from rx90_common.friction.element import FrictionElement
@@ -20,7 +20,7 @@ from rx90_common.friction.maxwell_slip import (
 from rx90_common.friction.parts.bristles import bristles_dtype, bristles_state_dtype, fill_bristles
 from rx90_common.friction.signs import SIGNS
 from rx90_common.kernels.compiled import inlined, kernel
-from rx90_common.kernels.lanes import Lanes, lane, load, select, store
+from rx90_common.kernels.lanes import Lanes, lane, load, select, size, store
 
 
 class Elements(NamedTuple):
@@ -43,19 +43,16 @@ def elements_dtype(width: int) -> np.dtype[np.void]:
     The fields are those of `Elements`. The torques have a row for each of SIGNS; v = 0 counts as positive.
     """
     signed = (len(SIGNS), width)
-    return np.dtype(
-        [
-            ("tau_c", np.float64, signed),
-            ("tau_s", np.float64, signed),
-            ("inverse_omega_s", np.float64, (width,)),
-            ("delta", np.float64, (width,)),
-            ("c0", np.float64, (width,)),
-            ("c1", np.float64, (width,)),
-            ("c2", np.float64, (width,)),
-            ("inverse_omega_d", np.float64, (width,)),
-            ("alpha", np.float64, (width,)),
-        ],
-        align=True,
+    return record_type(
+        tau_c=signed,
+        tau_s=signed,
+        inverse_omega_s=width,
+        delta=width,
+        c0=width,
+        c1=width,
+        c2=width,
+        inverse_omega_d=width,
+        alpha=width,
     )
 
 
@@ -67,12 +64,10 @@ def element_arrays(elements: Sequence[FrictionElement]) -> np.ndarray[Any, Any]:
         record["tau_c"][:, e] = element.tau_c.positive, element.tau_c.negative
         record["tau_s"][:, e] = element.tau_s.positive, element.tau_s.negative
         record["inverse_omega_s"][e] = 1.0 / element.omega_s
-        record["delta"][e] = element.delta
-        record["c0"][e] = element.c0
-        record["c1"][e] = element.c1
-        record["c2"][e] = element.c2
         record["inverse_omega_d"][e] = 1.0 / element.omega_d
-        record["alpha"][e] = element.alpha
+        values = element.parameters
+        for name in ("delta", "c0", "c1", "c2", "alpha"):
+            record[name][e] = values[name]
     return arrays
 
 
@@ -92,22 +87,6 @@ def load_elements(arrays: Any, width: int) -> Elements:
     )
 
 
-@kernel
-def one_element(arrays: Any, index: int) -> Elements:
-    """Return one element of such a record, in plain numbers."""
-    return Elements(
-        (arrays.tau_c[0, index], arrays.tau_c[1, index]),
-        (arrays.tau_s[0, index], arrays.tau_s[1, index]),
-        arrays.inverse_omega_s[index],
-        arrays.delta[index],
-        arrays.c0[index],
-        arrays.c1[index],
-        arrays.c2[index],
-        arrays.inverse_omega_d[index],
-        arrays.alpha[index],
-    )
-
-
 @inlined
 def lane_of(element: Elements, index: int) -> Elements:
     """Return one of several elements that are lanes, in plain numbers."""
@@ -122,6 +101,12 @@ def lane_of(element: Elements, index: int) -> Elements:
         lane(element.inverse_omega_d, index),
         lane(element.alpha, index),
     )
+
+
+@kernel
+def one_element(arrays: Any, index: int) -> Elements:
+    """Return one element of such a record, in plain numbers."""
+    return lane_of(load_elements(arrays, size(arrays.c0)), index)
 
 
 @inlined
@@ -222,9 +207,7 @@ def bristles_energy(c0: Lanes, kinds: Any, state: Any, z: Lanes, width: int) -> 
     return energy
 
 
-BRISTLE_STATE_DTYPE = np.dtype(
-    [("z", np.float64, (1,)), ("bristles", bristles_state_dtype(1))], align=True
-)
+BRISTLE_STATE_DTYPE = record_type(("bristles", bristles_state_dtype(1)), z=1)
 """Deflection, rad, of one element, and the further state of its bristles."""
 
 

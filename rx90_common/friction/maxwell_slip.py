@@ -38,6 +38,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.base.arrays import record_type
 from rx90_common.friction.bristle import damping, decay, sliding_torque, viscous_torque
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, lane, load, prefix_sum, select, store
@@ -62,15 +63,8 @@ class MaxwellBlocks(NamedTuple):
 
 def blocks_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the blocks of `width` elements, the element the first index."""
-    each = (width, MAX_BLOCKS)
-    return np.dtype(
-        [
-            ("stiffness", np.float64, each),
-            ("reach", np.float64, each),
-            ("attraction", np.float64, (width,)),
-        ],
-        align=True,
-    )
+    blocks = (width, MAX_BLOCKS)
+    return record_type(stiffness=blocks, reach=blocks, attraction=width)
 
 
 @inlined

@@ -13,7 +13,7 @@ from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallb
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rosbags.interfaces import Qos
+from rosbags.interfaces import QosDurability, QosReliability
 
 from rx90_common.bags.joint_series import Int64Array
 from rx90_common.bags.ordering import HEADER_STAMP, LIST_STAMP, Arrived, Source
@@ -211,28 +211,21 @@ class Stream:
         self.msgtype = types[0]
         self._kind = message_class(topic, self.msgtype)
         self.types = types_with(self.msgtype)
+        qos = QoSProfile(depth=_DEPTH)  # reliable and volatile
         profiles = [endpoint.qos_profile for endpoint in endpoints]
-        reliable = not published or all(
-            profile.reliability != ReliabilityPolicy.BEST_EFFORT for profile in profiles
-        )
-        latched = all(
-            profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles
-        )
+        if published and any(p.reliability == ReliabilityPolicy.BEST_EFFORT for p in profiles):
+            qos.reliability = ReliabilityPolicy.BEST_EFFORT
+        latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
+        if latched:
+            qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
         self.source = Source(place, self._stamp_at(), self.msgtype == JOINT_STATE, latched)
-        self.qos: Qos = offered_qos(reliable=reliable, transient_local=latched)
+        # rosbags has the numbers of rmw, as rclpy.
+        self.qos = offered_qos(QosReliability(qos.reliability), QosDurability(qos.durability))
         self.subscription = node.create_subscription(
             self._kind,
             topic,
             lambda _: None,  # the recorder takes the messages by itself
-            QoSProfile(
-                depth=_DEPTH,
-                reliability=ReliabilityPolicy.RELIABLE
-                if reliable
-                else ReliabilityPolicy.BEST_EFFORT,
-                durability=DurabilityPolicy.TRANSIENT_LOCAL
-                if latched
-                else DurabilityPolicy.VOLATILE,
-            ),
+            qos,
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )

@@ -19,7 +19,7 @@ from pydantic import (
     model_validator,
 )
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, record_type
 from rx90_common.base.models import JsonSchema, quantity, refusal
 from rx90_common.friction.maxwell_slip import MAX_BLOCKS, blocks_dtype
 from rx90_common.friction.parts.part import FrictionPart, Part, Surroundings
@@ -126,29 +126,22 @@ Bristles: TypeAlias = Annotated[ElastoPlastic | MaxwellSlip, Field(discriminator
 
 def bristles_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants of `width` elements' bristles."""
-    return np.dtype(
-        [
-            ("elastic_used", np.int64),  # 1 if any element is elasto-plastic
-            ("blocks_used", np.int64),  # 1 if any element has blocks
-            ("elastic", np.float64, (width,)),  # 1 where it is elasto-plastic
-            ("blocked", np.int64, (width,)),  # 1 where it has blocks
-            ("break_away", np.float64, (width,)),
-            ("blocks", blocks_dtype(width)),
-        ],
-        align=True,
+    return record_type(
+        ("elastic_used", np.int64),  # 1 if any element is elasto-plastic
+        ("blocks_used", np.int64),  # 1 if any element has blocks
+        ("blocked", np.int64, (width,)),  # 1 where it has blocks
+        ("blocks", blocks_dtype(width)),
+        elastic=width,  # 1 where it is elasto-plastic
+        break_away=width,
     )
 
 
 def bristles_state_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the bristles' state besides the deflection that every element has."""
-    return np.dtype(
-        [
-            # deflections and senses, as `maxwell_slip_step` has them
-            ("blocks", np.float64, (width, 2, MAX_BLOCKS)),
-            ("deflection", np.float64, (width,)),  # workspace of a step
-            ("torque", np.float64, (width,)),
-        ],
-        align=True,
+    return record_type(
+        blocks=(width, 2, MAX_BLOCKS),  # deflections and senses, as `maxwell_slip_step` has them
+        deflection=width,  # workspace of a step
+        torque=width,
     )
 
 

@@ -22,7 +22,7 @@ from typing import Annotated, Any, NamedTuple, TypeAlias
 import numpy as np
 from pydantic import Field, model_validator
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, record_type
 from rx90_common.base.models import FileModel, quantity, refusal
 from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings
 from rx90_common.friction.signs import BySign
@@ -175,20 +175,17 @@ class CurvePart(BySign[CurveTable], FrictionPart):
 def curve_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants: the pieces of each sign; none where the part is off."""
     rows = (2, MAX_POINTS + 1, width)
-    return np.dtype(
-        [
-            ("used", np.int64),  # 1 if any element has a curve
-            ("pieces", np.int64, (2, width)),
-            ("start", np.float64, rows),
-            ("coefficients", np.float64, (4, *rows)),
-        ],
-        align=True,
+    return record_type(
+        ("used", np.int64),  # 1 if any element has a curve
+        ("pieces", np.int64, (2, width)),
+        start=rows,
+        coefficients=(4, *rows),
     )
 
 
 def curve_state_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the state: sliding torques of the step, workspace, 0 where the part is off."""
-    return np.dtype([("torque", np.float64, (width,))], align=True)
+    return record_type(torque=width)
 
 
 def fill_curve(record: Any, parts: Sequence[CurvePart | None], _: Surroundings) -> None:

@@ -43,6 +43,7 @@ from typing import Annotated, Any, Final, TypeAlias
 import numpy as np
 from pydantic import Field, model_validator
 
+from rx90_common.base.arrays import record_type
 from rx90_common.base.models import quantity, refusal
 from rx90_common.friction.parts.part import MIN_SPEED, FrictionPart, Part, Present, Surroundings
 from rx90_common.kernels.compiled import inlined
@@ -122,22 +123,19 @@ class LoadPart(FrictionPart):
 def load_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants: a row for each of DIRECTIONS; the rate is 0 where the part is off."""
     rows = (len(DIRECTIONS), width)
-    return np.dtype(
-        [
-            ("fades", np.int64),  # 1 if any load's share has a Stribeck velocity of its own
-            ("coulomb", np.float64, rows),
-            ("stribeck", np.float64, rows),
-            ("quadratic", np.float64, rows),
-            ("inverse_omega_s", np.float64, (width,)),  # 0 for the element's
-            ("rate", np.float64, (width,)),
-        ],
-        align=True,
+    return record_type(
+        ("fades", np.int64),  # 1 if any load's share has a Stribeck velocity of its own
+        coulomb=rows,
+        stribeck=rows,
+        quadratic=rows,
+        inverse_omega_s=width,  # 0 for the element's
+        rate=width,
     )
 
 
 def load_state_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the state: the load, Nm, and its slope over the last step, Nm/s."""
-    return np.dtype([("torque", np.float64, (width,)), ("slope", np.float64, (width,))], align=True)
+    return record_type(torque=width, slope=width)
 
 
 def fill_load(record: Any, parts: Sequence[LoadPart | None], _: Surroundings) -> None:

@@ -20,6 +20,7 @@ from typing import Annotated, Any, NamedTuple, TypeAlias
 import numpy as np
 from pydantic import Field, model_validator
 
+from rx90_common.base.arrays import record_type
 from rx90_common.base.models import Row, quantity, refusal
 from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings, scaled
 from rx90_common.kernels.compiled import inlined
@@ -97,14 +98,11 @@ class RipplePart(FrictionPart):
 def ripple_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants: how many terms there are, and a row for each."""
     rows = (2 * MAX_TERMS, width)
-    return np.dtype(
-        [
-            ("terms", np.int64),
-            ("harmonic", np.float64, rows),  # waves in 2 pi of the element's angle
-            ("cosine", np.float64, rows),
-            ("sine", np.float64, rows),
-        ],
-        align=True,
+    return record_type(
+        ("terms", np.int64),
+        harmonic=rows,  # waves in 2 pi of the element's angle
+        cosine=rows,
+        sine=rows,
     )
 
 

@@ -23,6 +23,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from rx90_common.base.arrays import record_type
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import quantity
 from rx90_common.base.quoting import quoted
@@ -72,25 +73,12 @@ class ScatterPart(FrictionPart):
 
 def scatter_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants; the deviation is 0 where the part is off."""
-    return np.dtype(
-        [
-            ("seed", np.uint64),
-            ("deviation", np.float64, (width,)),
-            ("decay", np.float64, (width,)),
-            ("kick", np.float64, (width,)),
-        ],
-        align=True,
-    )
+    return record_type(("seed", np.uint64), deviation=width, decay=width, kick=width)
 
 
 def scatter_state_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the state; the factor is what Coulomb and static torque are multiplied with."""
-    walk = [
-        ("counter", np.uint64, (width,)),
-        ("walk", np.float64, (width,)),
-        ("factor", np.float64, (width,)),
-    ]
-    return np.dtype(walk, align=True)
+    return record_type(("counter", np.uint64, (width,)), walk=width, factor=width)
 
 
 def fill_scatter(

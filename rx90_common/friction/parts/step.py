@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from rx90_common.base.arrays import record_type
 from rx90_common.friction.compiled_elements import (
     bristles_energy,
     bristles_step,
@@ -27,19 +28,15 @@ from rx90_common.kernels.lanes import Lanes, fma, load
 def parts_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants of the parts of `width` elements, the element the last index."""
     constants = [(name, part.constants(width)) for name, part in PARTS.items()]
-    # used: 1 if any element has any part
-    return np.dtype([("used", np.int64), *constants], align=True)
+    return record_type(("used", np.int64), *constants)  # used: 1 if any element has any part
 
 
 def parts_state_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the state of the parts of `width` elements."""
-    return np.dtype(
-        [
-            ("friction", np.float64, (width,)),  # torque of the last step, Nm
-            ("transmitted", np.float64, (width,)),  # workspace: in the middle of the last step, Nm
-            *((name, part.state(width)) for name, part in PARTS.items() if part.state is not None),
-        ],
-        align=True,
+    return record_type(
+        *((name, part.state(width)) for name, part in PARTS.items() if part.state is not None),
+        friction=width,  # torque of the last step, Nm
+        transmitted=width,  # workspace: in the middle of the last step, Nm
     )
 
 

@@ -38,6 +38,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import model_validator
 
+from rx90_common.base.arrays import record_type
 from rx90_common.base.models import quantity, refusal
 from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings
 from rx90_common.kernels.compiled import inlined
@@ -152,24 +153,21 @@ _PLAIN = ("reference", "highest", "start", "ambient", "resistance", "speed_slope
 
 def temperature_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants; a slope, or the share that fades, is 0 where the part is off."""
-    lanes = (*_PLAIN, "inverse_scale", "fading", "gain", "motor")
-    return np.dtype(
-        [("used", np.int64), *((name, np.float64, (width,)) for name in lanes)], align=True
-    )
+    names = (*_PLAIN, "inverse_scale", "fading", "gain", "motor")
+    return record_type(("used", np.int64), **dict.fromkeys(names, width))
 
 
 def temperature_state_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the state."""
-    names = (
-        "temperature",  # degrees Celsius
-        "viscous",  # factor of c2
-        "speed",  # factor of 1 / omega_s
-        "static",  # by how much static less Coulomb torque has grown, a share of it
-        "work",  # of friction in this tick, J
-        "stored",  # in the bristles at the start of the tick, J
-        "heat",  # of friction and motor since the start, J
+    return record_type(
+        temperature=width,  # degrees Celsius
+        viscous=width,  # factor of c2
+        speed=width,  # factor of 1 / omega_s
+        static=width,  # by how much static less Coulomb torque has grown, a share of it
+        work=width,  # of friction in this tick, J
+        stored=width,  # in the bristles at the start of the tick, J
+        heat=width,  # of friction and motor since the start, J
     )
-    return np.dtype([(name, np.float64, (width,)) for name in names], align=True)
 
 
 def fill_temperature(
