@@ -33,7 +33,7 @@ from typing import Any
 
 import numpy as np
 
-from rx90_common.base.arrays import Array, Record
+from rx90_common.base.arrays import Array, Record, vectors
 from rx90_common.description.coupling import add_drive_torques, to_motor
 from rx90_common.description.drives import MAX_TERMS, Cogging, CurrentSensor, Windings
 from rx90_common.friction.bristle import decay
@@ -70,9 +70,7 @@ def cogging_dtype(motors: int) -> np.dtype[np.void]:
 
 def cogging_state_dtype(motors: int) -> np.dtype[np.void]:
     """Return the type of the workspace: of the motors; torques joint side, Nm."""
-    return np.dtype(
-        [(name, np.float64, (motors,)) for name in ("angle", "speed", "torque")], align=True
-    )
+    return np.dtype(vectors(motors, "angle", "speed", "torque"), align=True)
 
 
 def fill_cogging(record: Any, cogging: Cogging, gear: Array) -> None:
@@ -225,9 +223,7 @@ def sensor_dtype(motors: int) -> np.dtype[np.void]:
         [
             ("used", np.int64),
             ("seed", np.uint64),
-            ("offset", np.float64, (motors,)),
-            ("noise", np.float64, (motors,)),
-            ("resolution", np.float64, (motors,)),
+            *vectors(motors, "offset", "noise", "resolution"),
             ("gain", np.float64),  # of the current loop, for a tick
             ("torque_constant", np.float64, (motors,)),
         ],
@@ -240,12 +236,11 @@ def sensor_state_dtype(motors: int) -> np.dtype[np.void]:
     return np.dtype(
         [
             ("counter", np.uint64, (motors,)),
-            (
-                "error",
-                np.float64,
-                (motors,),
-            ),  # by how much the current is less than without errors, A
-            ("torque", np.float64, (motors,)),  # reported, motor side, Nm
+            *vectors(
+                motors,
+                "error",  # by how much the current is less than without errors, A
+                "torque",  # reported, motor side, Nm
+            ),
         ],
         align=True,
     )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.arm_dynamics import body_dtype, manipulator_dtype, manipulator_record
-from rx90_common.base.arrays import Array, Record
+from rx90_common.base.arrays import Array, Record, vectors
 from rx90_common.base.errors import ConfigError, DivergenceError
 from rx90_common.base.models import Row
 from rx90_common.base.rates import Rates, ticks_per
@@ -58,14 +58,14 @@ def plant_dtype(arm: ArmSize) -> np.dtype[np.void]:
             ("brake", elements_dtype(e)),  # a closed brake is a stiff bristle element on its motor
             ("parts", parts_dtype(e)),
             gear_field("gear", arm),
-            ("peak_torque", np.float64, (n,)),
-            ("resolution", np.float64, (n,)),  # of the encoder, motor side, rad
+            *vectors(
+                n,
+                "peak_torque",
+                "resolution",  # of the encoder, motor side, rad
+            ),
             ("observer_position", np.float64),  # gains of the velocity observer
             ("observer_velocity", np.float64),
-            ("lower", np.float64, (n,)),
-            ("upper", np.float64, (n,)),
-            ("stop_stiffness", np.float64, (n,)),
-            ("stop_damping", np.float64, (n,)),
+            *vectors(n, "lower", "upper", "stop_stiffness", "stop_damping"),
             ("period", np.float64),
             ("substeps", np.int64),
             ("speed_limit", np.float64, (n,)),
@@ -84,26 +84,24 @@ def state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     n, e, _ = arm
     return np.dtype(
         [
-            ("q", np.float64, (n,)),
-            ("v", np.float64, (n,)),
-            ("z", np.float64, (e,)),
-            ("brake_z", np.float64, (e,)),
+            *vectors(n, "q", "v"),
+            *vectors(e, "z", "brake_z"),
             ("brakes_closed", np.int64),
-            ("acceleration", np.float64, (n,)),  # mean over the last step
-            ("drive_torque", np.float64, (n,)),  # joint side, Nm
-            ("motor_torque", np.float64, (n,)),
-            ("motor_position", np.float64, (n,)),  # measured by the encoder
-            ("motor_velocity", np.float64, (n,)),  # estimated by the observer
-            ("observer", np.float64, (n,)),  # the observer's position
+            *vectors(
+                n,
+                "acceleration",  # mean over the last step
+                "drive_torque",  # joint side, Nm
+                "motor_torque",
+                "motor_position",  # measured by the encoder
+                "motor_velocity",  # estimated by the observer
+                "observer",  # the observer's position
+            ),
             ("saturated", np.int64, (n,)),  # ticks in which a motor gave less than its command
             # Workspace of a step; the factor of the mass matrix is also the next step's predictor.
             ("body", body_dtype(n)),
             ("mass_matrix", np.float64, (n, n)),
             ("factor", np.float64, (n, n)),
-            ("bias", np.float64, (n,)),
-            ("q_mid", np.float64, (n,)),
-            ("v_mid", np.float64, (n,)),
-            ("rhs", np.float64, (n,)),
+            *vectors(n, "bias", "q_mid", "v_mid", "rhs"),
             ("transmission", transmission_state_dtype(n)),
             ("cogging", cogging_state_dtype(n)),
             ("sensor", sensor_state_dtype(n)),

@@ -17,6 +17,11 @@ Record = NDArray[Any]
 """Of a structured type, as compiled code reads and changes it."""
 
 
+def vectors(size: int, *names: str) -> list[tuple[str, type[np.float64], tuple[int]]]:
+    """Return the fields of a structured type that are vectors of numbers, shape (size,)."""
+    return [(name, np.float64, (size,)) for name in names]
+
+
 def array_digest(*arrays: NDArray[Any] | None) -> str:
     """Return a digest of arrays, 32 characters; None and an empty array differ, 0 and -0 do not."""
     digest = hashlib.sha256()

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.base.arrays import Array, Record
+from rx90_common.base.arrays import Array, Record, vectors
 from rx90_common.base.rates import Rates
 from rx90_common.description.coupling import (
     ArmSize,
@@ -55,25 +55,20 @@ def law_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
                 np.float64,
                 (3, n),
             ),  # motor-side position, velocity, acceleration set-points
-            ("offset", np.float64, (n,)),  # of the position set-point, motor side, rad; workspace
-            ("error", np.float64, (n,)),  # position error at the last position tick
-            ("velocity_error", np.float64, (n,)),
-            ("integrator", np.float64, (n,)),
-            ("position_torque", np.float64, (n,)),  # PI block, held between position ticks
-            ("feed_forward", np.float64, (n,)),  # FF block, held between position ticks
-            (
-                "commanded",
-                np.float64,
-                (n,),
-            ),  # current commanded to the amplifier, within its limit, A
-            ("current", np.float64, (n,)),
-            ("command", np.float64, (n,)),  # torque constant times current
-            (
-                "limited",
-                np.float64,
-                (n,),
-            ),  # sign of the amplifier's saturation in the last tick, 0 if none
-            ("saturated", np.float64, (n,)),  # ticks in saturation
+            *vectors(
+                n,
+                "offset",  # of the position set-point, motor side, rad; workspace
+                "error",  # position error at the last position tick
+                "velocity_error",
+                "integrator",
+                "position_torque",  # PI block, held between position ticks
+                "feed_forward",  # FF block, held between position ticks
+                "commanded",  # current commanded to the amplifier, within its limit, A
+                "current",
+                "command",  # torque constant times current
+                "limited",  # sign of the amplifier's saturation in the last tick, 0 if none
+                "saturated",  # ticks in saturation
+            ),
             ("model", model_state_dtype(arm)),
         ],
         align=True,

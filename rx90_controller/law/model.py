@@ -32,7 +32,7 @@ from rx90_common.arm_dynamics import (
     manipulator_dtype,
     manipulator_record,
 )
-from rx90_common.base.arrays import Array, Record
+from rx90_common.base.arrays import Array, Record, vectors
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import FileModel
 from rx90_common.base.quoting import plain, quoted
@@ -102,8 +102,7 @@ def model_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
             np.int64,
         ),  # whether the temperatures have been computed, or are those of the start
         # Workspace.
-        ("joint", np.float64, (n,)),
-        ("motor", np.float64, (n,)),
+        *vectors(n, "joint", "motor"),
     ]
     return np.dtype(
         [
@@ -116,11 +115,7 @@ def model_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
             ),  # motor side, Nm: the feed-forward before the parts changed
             # Workspace.
             ("body", body_dtype(n)),
-            ("q", np.float64, (n,)),
-            ("v", np.float64, (n,)),
-            ("a", np.float64, (n,)),
-            ("joint", np.float64, (n,)),
-            ("motor", np.float64, (n,)),
+            *vectors(n, "q", "v", "a", "joint", "motor"),
         ],
         align=True,
     )
