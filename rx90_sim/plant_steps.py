@@ -309,49 +309,26 @@ def _compliance(
     w[e : e + n, n:] = np.eye(n)[:, soft]
     w[e + n : e + 2 * n, :n] = np.eye(n)
     w[e + 2 * n :, n:] = np.eye(n)[:, soft]
-    largest = np.zeros((len(w), len(w)))
     # 128 points that fill a cube evenly: multiples of powers of a root, modulo 1 (Kronecker's sequence).
     shares = (
         0.5 + np.arange(1.0, 129.0)[:, None] * _ROOTS[n - 1] ** -np.arange(1.0, n + 1.0)
     ) % 1.0
     arms = np.frombuffer(arm, manipulator_dtype(n))
-    bodies = np.zeros(1, body_dtype(n))
-    _raise_to_largest(arms, bodies, low + shares * (high - low), whole, w, largest)
-    return largest
+    masses = np.tile(whole, (len(shares), 1, 1))
+    _masses(arms, np.zeros(1, body_dtype(n)), low + shares * (high - low), masses)
+    return np.asarray(np.abs(w @ np.linalg.solve(masses, w.T)).max(axis=0))
 
 
 @kernel
-def _raise_to_largest(
-    arms: Record, bodies: Record, poses: Array, whole: Array, w: Array, largest: Array
-) -> None:
-    """Raise `largest` to the entries of W M^-1 W^T, by size; M's block of the joints in `whole` is overwritten."""
-    rows, size = w.shape
+def _masses(arms: Record, bodies: Record, poses: Array, masses: Array) -> None:
+    """Write the mass matrices of poses, shape (k, n), into the first rows and columns of others, (k, m, m)."""
     n = poses.shape[1]
     mass = np.empty((n, n))
     bias = np.empty(n)
     still = np.zeros(n)
-    factor = np.empty((size, size))
-    solved = np.empty((rows, size))
-    for pose in range(len(poses)):
-        mass_and_bias(arms[0], bodies[0], poses[pose], still, mass, bias)
-        whole[:n, :n] = mass
-        for i in range(size):  # M = L L^T
-            for j in range(i + 1):
-                total = whole[i, j]
-                for k in range(j):
-                    total -= factor[i, k] * factor[j, k]
-                factor[i, j] = math.sqrt(total) if i == j else total / factor[j, j]
-        for r in range(rows):  # the rows of W L^-T
-            for i in range(size):
-                total = w[r, i]
-                for k in range(i):
-                    total -= factor[i, k] * solved[r, k]
-                solved[r, i] = total / factor[i, i]
-            for other in range(r + 1):
-                total = 0.0
-                for k in range(size):
-                    total += solved[r, k] * solved[other, k]
-                largest[r, other] = largest[other, r] = max(largest[r, other], abs(total))
+    for k in range(len(poses)):
+        mass_and_bias(arms[0], bodies[0], poses[k], still, mass, bias)
+        masses[k, :n, :n] = mass
 
 
 def _refusal(
