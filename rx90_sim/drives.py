@@ -291,30 +291,3 @@ def _measure(sensor: Any, state: Any, motor: int, current: float) -> float:
         shown = whole_steps(shown, sensor.resolution[motor])
     state.torque[motor] = sensor.torque_constant[motor] * shown
     return shown
-
-
-@inlined
-def observe(
-    angle: Lanes,
-    position: Lanes,
-    velocity: Lanes,
-    period: float,
-    position_gain: float,
-    velocity_gain: float,
-) -> tuple[Lanes, Lanes]:
-    """Advance the tracking loop of a resolver-to-digital converter: of second order, critically damped.
-
-    Args:
-        angle: the motor's position, rad, not rounded.
-        position: the observer's position before, rad.
-        velocity: the observed velocity before, rad/s.
-        period: the tick, s.
-        position_gain: gain of the innovation on the position.
-        velocity_gain: gain of the innovation on the velocity, 1/s.
-
-    Returns:
-        The observer's position and velocity now.
-    """
-    predicted = position + period * velocity
-    innovation = angle - predicted
-    return predicted + position_gain * innovation, velocity + velocity_gain * innovation

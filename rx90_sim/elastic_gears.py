@@ -317,18 +317,23 @@ def _linearise(constants: Any, gears: Any, step: float) -> None:
     """Write the transmitted torques as functions of the accelerations of the twists, about their present ones."""
     for i in range(size(constants.rotor)):
         if constants.elastic[i]:
-            turn = gears.acceleration[i]
-            way = step * (gears.rate[i] + 0.5 * step * turn)
-            torque, slope = mean_torque(
-                constants.stiffness[i],
-                constants.damping[i],
-                constants.half_play[i],
-                gears.twist[i],
-                way,
-                step,
-            )
+            torque, slope = _torque_of_gear(constants, gears, i, step)
             gears.slope[i] = 0.5 * step * step * slope
-            gears.offset[i] = torque - gears.slope[i] * turn
+            gears.offset[i] = torque - gears.slope[i] * gears.acceleration[i]
+
+
+@inlined
+def _torque_of_gear(constants: Any, gears: Any, i: int, step: float) -> tuple[float, float]:
+    """Return what `mean_torque` does, for the present acceleration of a gear's twist."""
+    way = step * (gears.rate[i] + 0.5 * step * gears.acceleration[i])
+    return mean_torque(
+        constants.stiffness[i],
+        constants.damping[i],
+        constants.half_play[i],
+        gears.twist[i],
+        way,
+        step,
+    )
 
 
 @inlined
@@ -371,15 +376,7 @@ def _accelerate_twists(plant: Any, gears: Any, a: Array, step: float) -> bool:
         gears.acceleration[i] = turn
         gears.torque[i] = torque
         if constants.half_play[i] > 0.0:
-            way = step * (gears.rate[i] + 0.5 * step * turn)
-            true, _ = mean_torque(
-                constants.stiffness[i],
-                constants.damping[i],
-                constants.half_play[i],
-                gears.twist[i],
-                way,
-                step,
-            )
+            true, _ = _torque_of_gear(constants, gears, i, step)
             found = found and abs(true - torque) <= _TOLERANCE * (
                 abs(true) + abs(torque) + abs(drive) + abs(inertial)
             )

@@ -124,7 +124,6 @@ def plant_steps(
     arm: Any,
     period: float,
     requested: int | None = None,
-    braked: bool = True,
 ) -> int:
     """Return the number of plant steps in a tick: the requested one, or the number that the arm needs.
 
@@ -135,7 +134,6 @@ def plant_steps(
         arm: the rigid arm, shape (1,), of `manipulator_dtype(n)`; with the rotors.
         period: of a tick, s.
         requested: steps in a tick, None for as many as it needs.
-        braked: whether there are brakes and end stops.
     """
     rows = _rows(drives, friction, robot.max_velocity)
     numbers = (
@@ -156,16 +154,14 @@ def plant_steps(
     most = MAX_AUTOMATIC_STEPS if requested is None else requested
 
     def bear(steps: int) -> bool:
-        return all(load.largest <= load.most for load in _loads(rows, gram, period / steps, braked))
+        return all(load.largest <= load.most for load in _loads(rows, gram, period / steps))
 
     if bear(1 if requested is None else requested):
         return 1 if requested is None else requested
     needed = _first(bear)
     if needed is not None and needed <= most:
         return needed
-    loads = sorted(
-        _loads(rows, gram, period / most, braked), key=lambda one: one.largest / one.most
-    )
+    loads = sorted(_loads(rows, gram, period / most), key=lambda one: one.largest / one.most)
     raise ConfigError(_refusal(rows, gram, loads, period / most, most, requested, needed))
 
 
@@ -227,14 +223,12 @@ def _rows(drives: DriveParameters, friction: FrictionSet, max_velocity: Array) -
     )
 
 
-def _loads(rows: _Rows, gram: Array, step: float, braked: bool) -> Iterator[_Load]:
+def _loads(rows: _Rows, gram: Array, step: float) -> Iterator[_Load]:
     """Yield the quantities with their bounds for a step, s."""
     k = step * step * rows.stiffness
     d = step * rows.damping
     still = math.sqrt(8.0 * GROWTH * step)  # k whose undamped vibration grows by GROWTH
-    for part, most_k, most_d in ((slice(rows.elements), 0.05, 0.5), (slice(rows.held), 0.25, 0.8))[
-        : 1 + braked
-    ]:
+    for part, most_k, most_d in ((slice(rows.elements), 0.05, 0.5), (slice(rows.held), 0.25, 0.8)):
         stiff = _load(k, part, gram, most_k, None)
         yield stiff
         yield _load(step * rows.most_damping, part, gram, most_d, 0.0)
