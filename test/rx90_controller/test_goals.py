@@ -11,7 +11,6 @@ from goal_arm import Arm, GoalError, checked, message, tolerance
 from joint_moves import HOME, PERIOD, ZERO, stamp
 
 from rx90_common.base.errors import TrajectoryError
-from rx90_controller.servo.events import GiveUp
 from rx90_controller.servo.states import Off, Switch
 from rx90_controller.trajectory.request import ResultCode, State
 
@@ -141,25 +140,6 @@ def test_a_point_at_the_start_elsewhere_or_over_is_refused() -> None:
     assert [event.state.name for event in arm.run(600)] == ["SUCCEEDED"]
 
 
-@pytest.mark.parametrize("at", [1, 123, 300, 599])
-def test_a_cancelled_goal_stops_along_the_path(at: int) -> None:
-    """CANCELED at once; the arm comes to rest on the straight way between the poses, and holds."""
-    arm, way = Arm(), np.array([0.2, 0.1, -0.1, 0.3, 0.2, 0.4])
-    arm.offer("a", message(HOME + way))
-    arm.run(at)
-    event = arm.cancel()
-    assert event is not None
-    assert event.key == "a"
-    assert event[1:3] == (State.CANCELED, ResultCode.SUCCESSFUL)
-    assert event.text.startswith(f"cancelled; stopping from {at * PERIOD:g} s on, at rest at ")
-    assert arm.cancel() is None
-    assert arm.run(300) == []
-    assert arm.stopped_smoothly()
-    share = (np.array(arm.setpoints)[:, 0] - HOME) / way
-    assert np.abs(share - share[:, :1]).max() < 1e-9
-    assert arm.outputs.info.call_args.args[0].startswith("stopped at ")
-
-
 DEFAULTED: dict[str, tuple[dict[str, Any], str]] = {
     "an unknown joint": (
         {"path_tolerance": [tolerance("joint_1", 0.1), tolerance("elbow", 0.1)]},
@@ -201,24 +181,6 @@ def test_tolerances_are_read_as_joint_trajectory_controller_reads_them() -> None
     assert read.tolerances.path[:, 1].tolist() == [0.2, np.inf, np.inf]
     assert read.tolerances.path[0, 2] == np.inf
     assert read.tolerances.goal[0, 2] == 0.01
-
-
-def test_what_ends_the_following_ends_the_goal() -> None:
-    """Brakes, a reset or a deactivation: code -1 with the reason; what the arm does is left to who says so."""
-    arm = Arm()
-    assert arm.drop("the torque is off") is None
-    arm.offer("a", message())
-    arm.run(100)
-    event = arm.drop("the torque is off")
-    assert event == ("a", State.ABORTED, ResultCode.INVALID_GOAL, "the torque is off, at 0.1 s", 100)
-    arm.run(600)
-    assert np.all(arm.setpoints[-1][0] == HOME + 0.2)
-    arm.offer("b", message(HOME))
-    arm.run(300)
-    arm.loop.post(GiveUp("the simulation is gone", halt=True))
-    arm.run(300)
-    assert arm.stopped_smoothly()
-    assert np.all(arm.setpoints[-1][0] != HOME)
 
 
 @pytest.mark.parametrize("at", [0, 250])
