@@ -37,21 +37,6 @@ def test_a_bad_goal_is_refused(changed: dict[str, Any], words: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_options_take_what_is_refused_without_them() -> None:
-    """A subset of the joints and a velocity at the end are taken where they are allowed; no joints never are."""
-    some = message(joint_names=["joint_4", "joint_2"], positions=[0.4, 0.2], velocities=[0.5, 0.0])
-    allowed = {"allow_partial_joints_goal": True, "allow_nonzero_velocity_at_trajectory_end": True}
-    points = checked(some, **allowed).points
-    assert points.named.tolist() == [False, True, False, True, False, False]
-    assert points.position[0, [1, 3]].tolist() == [0.2, 0.4]
-    assert points.velocity[0, [1, 3]].tolist() == [0.0, 0.5]
-    for missing in allowed:
-        with pytest.raises(TrajectoryError):
-            checked(some, **{name: value for name, value in allowed.items() if name != missing})
-    with pytest.raises(TrajectoryError, match="no joints; accepted: joint_1"):
-        checked(message(joint_names=[]), **allowed)
-
-
 def test_tolerances_are_the_defaults_unless_the_goal_says_otherwise() -> None:
     """0 is the default, -1 none, another number the goal's own; the next goal begins from the defaults again."""
     own = checked(

@@ -310,26 +310,6 @@ def one_joint(shipped: Setup, rotor: float, gear: tuple[float, float, float], su
     return dataclasses.replace(setup, drives=drives).plant(substeps)
 
 
-def test_all_gears_end_a_step_where_their_torques_lead(shipped: Setup) -> None:
-    """Where all six knock against each other, with stiff dampers, each torque is the mean one along its twist's way."""
-    rng, half, damping = np.random.default_rng(9), 2e-4, 5e-3 * SOFT
-    setup = elastic(floating(shipped), SOFT, damping, 2.0 * half)
-    plant = setup.plant()
-    free(plant, POSE)
-    gears, meetings = plant.state["transmission"][0], 0
-    for k in range(600):
-        if k % 5 == 0:
-            command = rng.uniform(-1.0, 1.0, 6) * setup.drives.peak_torque
-        before = gears["twist"].copy()
-        plant.step(command)
-        ways = gears["twist"] - before
-        meetings += np.count_nonzero((np.abs(before) > half) != (np.abs(before + ways) > half))
-        for i in range(6):
-            want = mean_torque(SOFT[i], damping[i], half, before[i], ways[i], STEP)[0]
-            assert gears["torque"][i] == pytest.approx(want, rel=1e-8, abs=1e-6)
-    assert meetings > 100
-
-
 def test_a_joint_with_play_against_a_stiff_solver(shipped: Setup) -> None:
     """Rotor, spring, damper, play and link of 50 seeded sets converge with order 2 to LSODA, through all impacts."""
     link, rng, ticks, errors = link_mass(shipped, POSE)[0, 0], np.random.default_rng(7), 100, []

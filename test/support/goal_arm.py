@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 from unittest import mock
@@ -71,14 +70,6 @@ def message(to: Array | None = None, seconds: float = 0.6, **changed: Any) -> Si
 def checked(goal: SimpleNamespace, **options: bool) -> TrajectoryRequest:
     """Return a checked goal."""
     return check_request(goal.trajectory, DEFAULTS, GoalOptions(**options), 1000, goal)
-
-
-def two(first: float, second: float) -> list[SimpleNamespace]:
-    """Return two points at times, s."""
-    points = message().trajectory.points * 2
-    points = [copy.copy(point) for point in points]
-    points[0].time_from_start, points[1].time_from_start = stamp(first), stamp(second)
-    return points
 
 
 class Event(NamedTuple):
