@@ -182,7 +182,8 @@ class ModelFiles(FileModel):
         found: dict[str, Path | str] = {role: controller.parent / FILES[role] for role in ROLES}
         if not (controller.parent / FILES["tool"]).is_file():
             found["tool"] = NO_TOOL
-        for role, name in self:
+        for role in ROLES:
+            name = getattr(self, role)
             if role == "tool" and name == NO_TOOL:
                 found[role] = NO_TOOL
             elif name is not None:
