@@ -20,7 +20,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from rx90_common.base.errors import ExchangeError, MessageError
+from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS, Rates
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import TickChannel
@@ -164,9 +164,8 @@ class Serving:
                 return
             self._stamp = self._state = None
         if raw != self._state:
-            try:
-                states = self._decode(raw)
-            except MessageError:
+            states = self._decode(raw)
+            if states is None:
                 return
             stamp = states.stamp_ns
             if self._stamp is None or stamp != self._stamp + self._period_ns:
@@ -213,11 +212,8 @@ class Serving:
             batch.append(raw)
         command = None
         for raw in batch:
-            try:
-                states = self._decode(raw)
-            except MessageError:
-                continue
-            if not self._follows(states):
+            states = self._decode(raw)
+            if states is None or not self._follows(states):
                 continue
             assert self._next is not None
             while self._next <= states.stamp_ns:
@@ -271,8 +267,8 @@ class Serving:
             self._announce(f"states on {self._topic} from {stamp / NANOSECONDS:.6g} s on")
         return True
 
-    def _decode(self, raw: bytes) -> MotorStates:
-        """Return the states in a message; MessageError if it has none, or those of a time between two ticks."""
+    def _decode(self, raw: bytes) -> MotorStates | None:
+        """Return the states in a message; None if it has none, or those of a time between two ticks."""
         try:
             stamp_ns, position, velocity, torque = self._spare.decode(raw)
             if position is None or velocity is None:
@@ -284,7 +280,7 @@ class Serving:
                 )
         except ExchangeError as error:
             self._complaints.say("states", f"{self._topic}: {error}; the message is ignored")
-            raise MessageError(str(error)) from error
+            return None
         self._codec, self._spare = self._spare, self._codec
         return MotorStates(stamp_ns, position, velocity, torque)
 

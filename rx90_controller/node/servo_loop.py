@@ -224,7 +224,7 @@ class ServoLoop:
             if goal is not None:
                 self._check_goal(request, missing)
         except TrajectoryError as error:
-            self._refuse(kind, error)
+            self.servo.reject(kind, error)
             return None
         if request.remark:
             self.servo.complain(f"{kind}: {request.remark}")
@@ -300,7 +300,7 @@ class ServoLoop:
             points = points_from_message(self._cs7b.joint_names, message)
             correction = correction_from_points(points, self.servo.period)
         except TrajectoryError as error:
-            self._refuse("correction", error)
+            self.servo.reject("correction", error)
             return
         self._correction = (message.header.frame_id, correction)
 
@@ -324,10 +324,6 @@ class ServoLoop:
             )
         else:
             self.servo.note("the correction that waited belongs to another trajectory; dropped")
-
-    def _refuse(self, kind: str, error: TrajectoryError) -> None:
-        self.servo.count_refusal(kind, error)
-        self.servo.complain(f"{kind} rejected: {error}")
 
     def report(self) -> None:
         """Print, publish and send what has come up; called after each `Outputs.wake`."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -105,8 +106,9 @@ class TrajectoryGenerator:
         self._promote(now - count)
         at_rest = not self._current.runs(now - count)
         self._current.delay(count)
-        later = max(now - self._next.start, 0) if at_rest and self._next is not None else count
+        later = count
         if self._next is not None:
+            later = max(now - self._next.start, 0) if at_rest else count
             self._next.delay(later)
         self._played = [
             one.shifted(count if one.begin < now - count else later) for one in self._played
@@ -120,22 +122,25 @@ class TrajectoryGenerator:
 
         Ticks must not go back to before the last `accept`.
         """
-        if self._next is None:
-            return self._current.setpoints(tick, count)
-        head = min(max(self._next.start - tick, 0), count)
-        before = self._current.setpoints(tick, head)
-        return np.concatenate([before, self._next.setpoints(tick + head, count - head)])
+        return self._sampled(FollowedPath.setpoints, tick, count)
+
+    def _sampled(
+        self, sample: Callable[[FollowedPath, int, int], Array], tick: int, count: int
+    ) -> Array:
+        """Return samples of the running motion and, from its start on, of the waiting one."""
+        waiting = self._next
+        if waiting is None:
+            return sample(self._current, tick, count)
+        head = min(max(waiting.start - tick, 0), count)
+        before = sample(self._current, tick, head)
+        return np.concatenate([before, sample(waiting, tick + head, count - head)])
 
     def corrected(self, tick: int, count: int = 1) -> Array:
         """Return set-points as the law takes them, and a played correction's offsets beneath, rad, (count, 4, j).
 
         Their accelerations are those of `FollowedPath.leading`.
         """
-        waiting = self._next
-        head = count if waiting is None else min(max(waiting.start - tick, 0), count)
-        setpoints = self._current.leading(tick, head)
-        if waiting is not None:
-            setpoints = np.concatenate([setpoints, waiting.leading(tick + head, count - head)])
+        setpoints = self._sampled(FollowedPath.leading, tick, count)
         if not self._played:
             return setpoints
         ticks = np.arange(tick, tick + count)

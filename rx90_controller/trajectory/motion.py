@@ -98,8 +98,8 @@ class Motion:
         w = _FADE(share)
         w_dot = _FADE.deriv()(share) * rate
         w_ddot = _FADE.deriv(2)(share) * rate**2
-        faded = (w * s, w_dot * s + w * s_dot, w_ddot * s + 2.0 * w_dot * s_dot + w * s_ddot)
-        way, velocity, acceleration = (values[:, None] * direction for values in faded)
+        faded = [w * s, w_dot * s + w * s_dot, w_ddot * s + 2.0 * w_dot * s_dot + w * s_ddot]
+        way, velocity, acceleration = np.stack(faded)[:, :, None] * direction
         way[-1] = 0.0
         self.follow(time, self.pose + way, velocity, acceleration)
 

@@ -7,6 +7,7 @@ than the plant's step.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 from rclpy.node import Node
@@ -40,19 +41,19 @@ class SampledStates:
         node: owner of the topics.
         plant: whose states they are.
         rates: of the simulation.
+        encode: return the message of joints and that of friction for a time, ns.
 
     Attributes:
         publishers: of both topics.
     """
 
-    def __init__(self, node: Node, plant: Plant, rates: Rates) -> None:
+    def __init__(
+        self, node: Node, plant: Plant, rates: Rates, encode: tuple[Callable[[int], bytes], ...]
+    ) -> None:
         self._plant = plant
         self._period_ns = rates.period_ns
         self._ticks = max(1, rates.base_hz // SAMPLED_RATE)
-        self._encode_joints = JointStateCodec(plant.joint_names).encoder(*plant.joint_states())
-        self._encode_friction = JointStateCodec(plant.friction_names).encoder(
-            *plant.friction_states()
-        )
+        self._encode = encode
         self.publishers: tuple[Publisher, Publisher] = (
             node.create_publisher(JointState, f"{SAMPLED}/joint_states", CLOCK_QOS),
             node.create_publisher(JointState, f"{SAMPLED}/friction_states", CLOCK_QOS),
@@ -68,7 +69,7 @@ class SampledStates:
             stamp = tick * self._period_ns
             self._plant.friction_states()
             # Also without subscribers: one that subscribes while time stands still gets the newest.
-            self._samples = (self._encode_joints(stamp), self._encode_friction(stamp))
+            self._samples = tuple(encode(stamp) for encode in self._encode)
             self._since += 1
             now = time.monotonic()
             # in real time some ticks come a little early
@@ -161,14 +162,15 @@ class Publications:
         )
         self._clock_ticks = ticks_per("clock_rate", rates.base_hz, parameters.clock_rate)
         self._encode_joints = JointStateCodec(plant.joint_names).encoder(*plant.joint_states())
-        self._encode_friction = JointStateCodec(plant.friction_names).encoder(
+        self._encode_friction = JointStateCodec(plant.friction.names).encoder(
             *plant.friction_states()
         )
         self._joints = publish(node, JointState, "joint_states", STATE_QOS)
         self._friction = publish(node, JointState, "friction_states", STATE_QOS)
         # the newest, as it was sent; empty: not sent
         self._joint_sample = self._friction_sample = b""
-        self._sampled = SampledStates(node, plant, rates)
+        encode = (self._encode_joints, self._encode_friction)
+        self._sampled = SampledStates(node, plant, rates, encode)
         self._time = Clock()
         self._clock = publish(node, Clock, "/clock", CLOCK_QOS)
         own = (self._joints, self._friction, self._clock, *self._sampled.publishers)

@@ -62,7 +62,7 @@ def step_by_step(setup: Setup, duration: float, start: int, substeps: int) -> di
             seen["tracking_error"].append(np.array(controller.tracking_error()))
             seen["details"].append(np.array(controller.details()))
         if k % setup.rates.base_hz == 0 and setup.drives.winding.used:
-            seen["temperatures"].append(plant.temperatures.now.copy())
+            seen["temperatures"].append(plant.temperatures.copy())
             seen["windings"].append(plant.winding_temperatures())
         plant.step(command)
     empty = {"temperatures": np.empty((0, 7)), "windings": np.empty((0, 6)), "correction": np.empty((0, 6))}
