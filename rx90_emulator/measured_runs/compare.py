@@ -429,9 +429,7 @@ def _simulated(
     # Sampled at the measured rate: aliasing by slow sampling is then the same on both sides.
     rates = setup.rates
     often = run.rate > 1.5 * setup.rates.position_hz
-    simulated = run_along(
-        setup, setpoints.values, setpoints.initial_position, record_fast=often
-    )
+    simulated = run_along(setup, setpoints.values, setpoints.initial_position, record_fast=often)
     values = simulated.slow.joint_states[:, ::2]
     rate = float(rates.base_hz if often else rates.position_hz)
     if simulated.fast is not None:

@@ -18,7 +18,6 @@ import pytest
 
 from rx90_common.base.errors import SweepError
 from rx90_common.base.share import config_path
-from rx90_common.description.kinematics import forward, tip_position
 from rx90_common.process.children import TIMEOUT
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.line import path_accuracy, run_line, run_path
@@ -166,13 +165,6 @@ def test_a_lost_worker_is_said(sweep: Sweep) -> None:
 
     with pytest.raises(SweepError, match="a worker process died"):
         lose()
-
-
-def test_tip_is_that_of_the_kinematics(shipped: Setup) -> None:
-    """The short way to the tip gives the forward kinematics' position at random poses."""
-    robot = shipped.robot
-    q = np.random.default_rng(1).uniform(robot.lower, robot.upper, (500, 6))
-    np.testing.assert_allclose(tip_position(robot.chain, q), forward(robot.chain, q).position, rtol=0, atol=1e-14)
 
 
 def test_a_sweep_goes_along_a_path(shipped: Setup) -> None:
