@@ -263,11 +263,9 @@ Verb = tuple[
 whose docstring is the description; its line in --help."""
 
 
-def add_verbs(
-    parser: argparse.ArgumentParser, verbs: Sequence[Verb], required: bool = True
-) -> None:
+def add_verbs(parser: argparse.ArgumentParser, verbs: Sequence[Verb]) -> None:
     """Add a parser for each verb, whose function `options.run` then is."""
-    added = parser.add_subparsers(dest="verb", required=required, metavar="VERB")
+    added = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for add, run, text in verbs:
         one = added.add_parser(run.__name__.strip("_"), help=text, description=inspect.getdoc(run))
         one.set_defaults(run=run)

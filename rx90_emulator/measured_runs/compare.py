@@ -128,7 +128,7 @@ class MeasuredComparison:
     lag: float
     bandwidths: Bandwidths
     setpoints: str
-    paths: tuple[PathAccuracy, PathAccuracy]
+    paths: Sequence[PathAccuracy]
     saturated: Array
     remarks: tuple[str, ...]
     tolerances: MeasuredTolerances
@@ -258,12 +258,12 @@ def compare_measured(
     when = (
         np.arange(len(setpoints.values), dtype=np.float64) * setup.rates.position_period
     )  # since the first of them
-    measured_path = followed_accuracy(
-        setup.robot, time - setpoints.start, measured[:, 0], when, setpoints.values[:, 0]
-    )
-    simulated_path = followed_accuracy(
-        setup.robot, time - setpoints.start, follows[:, 0], when, setpoints.values[:, 0]
-    )
+    paths = [
+        followed_accuracy(
+            setup.robot, time - setpoints.start, arm[:, 0], when, setpoints.values[:, 0]
+        )
+        for arm in (measured, follows)
+    ]
     return MeasuredComparison(
         names=run.names,
         robot=setup.robot.model.name,
@@ -274,7 +274,7 @@ def compare_measured(
         lag=lag,
         bandwidths=run.bandwidths,
         setpoints=setpoints.source,
-        paths=(measured_path, simulated_path),
+        paths=paths,
         saturated=saturated,
         remarks=(*beyond, *_remarks(record, pieces, run)),
         tolerances=tolerances,
