@@ -11,18 +11,21 @@ import io
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NoReturn, TypeAlias
+from typing import Annotated, Any, Literal, NoReturn, TypeAlias
 
 import numpy as np
+from pydantic import Field
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ConfigError, warn_caller
+from rx90_common.base.models import FileModel, Triple, quantity
 from rx90_common.base.quoting import counted, plain, quoted
 from rx90_common.base.text_lines import read_bytes, read_lines
 from rx90_common.description.rotations import length, rpy_rotation
+from rx90_controller.lines.task import Angles, radians
 from rx90_controller.paths.curve import KINK, spline_through
 from rx90_controller.paths.path import Segment
 
@@ -99,27 +102,34 @@ def read_columns(file: Path, names: Sequence[str]) -> tuple[Array, list[str | No
     return np.array(rows, dtype=np.float64).reshape(-1, len(names)), units or [None] * len(names)
 
 
-@dataclass(frozen=True)
-class Drawing:
-    """A file that a path is read from, and where it lies.
+class Drawing(FileModel):
+    """A file with the path: points (.csv) or a drawing (.dxf)."""
 
-    Attributes:
-        file: its name ends with .csv or .dxf.
-        unit: of its numbers, one of UNITS, even if a drawing names another one; None: that the file names.
-        origin: where its origin lies, m.
-        rpy: roll, pitch and yaw of its axes, rad.
-        points: "spline" or "lines" through the points of a CSV file.
-        layer: of a drawing; None for all.
-        zone: m at each corner, less where a neighbour is shorter than twice that.
-    """
+    name: Annotated[str, Field(description="The file, beside this one.")]
+    unit: Annotated[
+        Literal["m", "mm", "cm", "in"] | None, Field(description="Unit of its numbers.")
+    ] = None
+    origin: Annotated[Triple, quantity("m", "Where its origin lies, in base_link.")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
+    rpy_degrees: Annotated[Angles, quantity("deg", "Roll, pitch and yaw of its axes.")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
+    points: Annotated[
+        Literal["lines", "spline"],
+        Field(description="Points of a CSV file as the corners of lines, or on a spline."),
+    ] = "spline"
+    layer: Annotated[str | None, Field(description="Layer of the drawing; all if left out.")] = None
+    zone: Annotated[float, quantity("m", "Zone at each corner.", ge=0.0)] = 0.0
 
-    file: Path
-    unit: str | None = None
-    origin: tuple[float, ...] = (0.0, 0.0, 0.0)
-    rpy: tuple[float, ...] = (0.0, 0.0, 0.0)
-    points: str = "spline"
-    layer: str | None = None
-    zone: float = 0.0
+    @property
+    def file(self) -> Path:
+        """Return where it is."""
+        return Path(self.name)
 
     def read(self) -> tuple[tuple[float, ...], tuple[Segment, ...]]:
         """Return the start, m, and the segments of a path."""
@@ -131,7 +141,7 @@ class Drawing:
         unit, start, segments = self._dxf() if kind == ".dxf" else self._csv()
         if not segments:
             self._refuse("holds no path; accepted: two different points or more")
-        turn = rpy_rotation(self.rpy)
+        turn = rpy_rotation(radians(self.rpy_degrees))
         origin = np.array(self.origin)
 
         def placed(point: Any) -> tuple[float, ...]:

@@ -44,10 +44,10 @@ from rx90_emulator.identification.rows.filtering import (
     low_pass_taps,
 )
 from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest
-from rx90_emulator.loop.closed_loop import run_setpoints
+from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.line import PathAccuracy, followed_accuracy
 from rx90_emulator.loop.recorded_setup import check_robot
-from rx90_emulator.loop.result import FastSeries, SlowSeries, empty_series
+from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.measured_runs.options import MeasuredTolerances
 
@@ -128,7 +128,7 @@ class MeasuredComparison:
     lag: float
     bandwidths: Bandwidths
     setpoints: str
-    paths: tuple[PathAccuracy, PathAccuracy]
+    paths: Sequence[PathAccuracy]
     saturated: Array
     remarks: tuple[str, ...]
     tolerances: MeasuredTolerances
@@ -255,12 +255,12 @@ def compare_measured(
     follows = np.asarray(simulated(time + lag - setpoints.start))
     # since the first of them
     when = np.arange(len(setpoints.values), dtype=np.float64) * setup.rates.position_period
-    measured_path = followed_accuracy(
-        setup.robot, time - setpoints.start, measured[:, 0], when, setpoints.values[:, 0]
-    )
-    simulated_path = followed_accuracy(
-        setup.robot, time - setpoints.start, follows[:, 0], when, setpoints.values[:, 0]
-    )
+    paths = [
+        followed_accuracy(
+            setup.robot, time - setpoints.start, arm[:, 0], when, setpoints.values[:, 0]
+        )
+        for arm in (measured, follows)
+    ]
     return MeasuredComparison(
         names=run.names,
         robot=setup.robot.model.name,
@@ -271,7 +271,7 @@ def compare_measured(
         lag=lag,
         bandwidths=run.bandwidths,
         setpoints=setpoints.source,
-        paths=(measured_path, simulated_path),
+        paths=paths,
         saturated=saturated,
         remarks=(*beyond, *_remarks(record, pieces, run)),
         tolerances=tolerances,
@@ -426,15 +426,13 @@ def _simulated(
     # Sampled at the measured rate: aliasing by slow sampling is then the same on both sides.
     rates = setup.rates
     often = run.rate > 1.5 * setup.rates.position_hz
-    fast, slow, saturated = run_along(
-        setup, setpoints.values, setpoints.initial_position, record_fast=often
-    )
-    values = slow.joint_states[:, ::2]
+    simulated = run_along(setup, setpoints.values, setpoints.initial_position, record_fast=often)
+    values = simulated.slow.joint_states[:, ::2]
     rate = float(rates.base_hz if often else rates.position_hz)
-    if often:
+    if simulated.fast is not None:
         turns = setup.drives.gear[:, None] * setup.drives.turning.turns
-        position = fast.motor_states[:, 0] @ np.linalg.inv(turns).T
-        values = np.stack([position, fast.motor_states[:, 2] @ turns], axis=1)
+        position = simulated.fast.motor_states[:, 0] @ np.linalg.inv(turns).T
+        values = np.stack([position, simulated.fast.motor_states[:, 2] @ turns], axis=1)
     taps = low_pass_taps(rate, run.bandwidths.torque)
     filtered = low_pass(values, taps)
     if len(filtered) < 4:
@@ -444,6 +442,7 @@ def _simulated(
     since = (len(taps) // 2 + np.arange(len(filtered))) / rate
     begin = setpoints.start + float(since[0])
     end = setpoints.start + float(since[-1])
+    saturated = simulated.saturated / (len(setpoints.values) * rates.ratio)
     return make_interp_spline(since, filtered, k=3), max(begin, setpoints.begin), end, saturated
 
 
@@ -499,20 +498,9 @@ def setpoint_rows(position: Array, velocity: Array, setup: Setup) -> Array:
 
 def run_along(
     setup: Setup, setpoints: Array, start: Array, *, record_fast: bool = False
-) -> tuple[FastSeries, SlowSeries, Array]:
-    """Run the closed loop along set-points, shape (m, 3, n), from rest at `start`, rad, shape (n,).
-
-    Returns:
-        The records at the base rate and at the position loop's rate, and the share of the ticks in which each motor was
-        at its limit, shape (n,).
-    """
-    ticks = len(setpoints) * setup.rates.ratio
-    plant = setup.plant()
-    controller = setup.cs7b()
-    plant.reset(start)
-    controller.reset(plant.motor_states()[0])
-    fast, slow = empty_series(
-        ticks, setup.rates.ratio, record_fast=record_fast, arm=setup.drives.turning.size
+) -> RunResult:
+    """Run the closed loop along set-points, shape (m, 3, n), from rest at `start`, rad, shape (n,)."""
+    duration = len(setpoints) * setup.rates.position_period
+    return simulate_commands(
+        setup, (), start, duration, record_fast=record_fast, warn=False, sample=lambda *_: setpoints
     )
-    run_setpoints(plant, controller, setpoints, ticks, fast, slow)
-    return fast, slow, np.asarray(controller.saturated / ticks)

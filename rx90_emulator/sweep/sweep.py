@@ -164,13 +164,14 @@ class Sweep:
             ConfigError, LineError: naming file or parameter, value and what is accepted.
         """
         self.plan = plan
-        self.setup = Setup.load(plan.base.files, plan.base.rates)
-        self.task = load_motion(plan.base.files.required("task"))
+        files = plan.base.files
+        self.setup = Setup.load(files, plan.base.rates)
+        self.task = load_motion(files.required("task"))
         self.description = plan.description()
         self.identity = plan_hash(self.description)
         self.versions = versions()
         self.sources = run_hash()
-        self.provenance = provenance_of(plan.base.files)
+        self.provenance = provenance_of(files)
         self.metrics = metrics_of(self.setup.robot.joint_names, self.setup.friction.names)
         self.runs = RunList(plan, Catalogue(self.setup, self.task))
         taken = {*RUN_COLUMNS, *(metric.name for metric in self.metrics)}

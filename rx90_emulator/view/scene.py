@@ -253,9 +253,7 @@ class LineScene:
             at = self._rows[:, 0]
             when, along, across, angle = self._rows[(at >= self._span[0]) & (at <= self._span[1])].T
             ahead = along - self._task.profile().sample(when - self._begin).distance
-            self.run = PathAccuracy(
-                when, along, across, None if np.isnan(self._begin) else ahead, angle
-            )
+            self.run = PathAccuracy(when, along, across, ahead, angle)
         else:
             self._rows = self._rows[-_KEPT_BEFORE:]
         errors = np.where(counted, error.perpendicular, np.nan)

@@ -367,7 +367,7 @@ def _tip_difference(
     first = int(np.searchsorted(record.time, reference.time[0] - 1e-9))
     start = np.clip(record.position[first], setup.robot.lower, setup.robot.upper)
     identified = replace(setup, friction=FrictionSet(setup.friction.names, lugre))
-    _, slow, _ = run_along(identified, setpoint_rows(position, velocity, setup), start)
+    slow = run_along(identified, setpoint_rows(position, velocity, setup), start).slow
     recorded = np.column_stack(
         [np.interp(reference.time, record.time, joint) for joint in record.position.T]
     )
