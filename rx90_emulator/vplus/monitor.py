@@ -24,7 +24,7 @@ from rx90_emulator.vplus.instructions import CONTROL
 from rx90_emulator.vplus.program import load_programs, parse_line, read
 from rx90_emulator.vplus.task import OF_EXECUTE, Frame, Task, Waits
 from rx90_emulator.vplus.transformations import six_numbers, trans
-from rx90_emulator.vplus.tree import Memory, Program, Step
+from rx90_emulator.vplus.tree import Memory, Program
 from rx90_emulator.vplus.values import Cell as Variable
 from rx90_emulator.vplus.values import Joints, LoadError, Value, VplusError, element, plain_name
 
@@ -204,12 +204,12 @@ class Monitor:
 
 def _do(monitor: Monitor, text: str) -> Dialogue:
     task = monitor.task
-    line = parse_line(text)
-    if line.word in CONTROL:
+    step = parse_line(text)
+    if step.word in CONTROL:
         raise SyntaxError("Illegal monitor command")
     _check_idle(monitor)
     depth = len(task.frames)
-    task.frames.append(Frame(Program("do", steps=[Step(1, line.word, line)])))
+    task.frames.append(Frame(Program("do", steps=[step])))
     try:
         for _ in task.walk(depth):
             yield None
@@ -259,7 +259,7 @@ def _point(monitor: Monitor, text: str) -> Dialogue:
     name = _name(text.partition("=")[0].strip())
     if "=" in text:
         yield from _do(monitor, f"SET {text}")
-    cell = element(monitor.task.memory.variables, name, ())
+    cell = element(monitor.task.memory.variables.setdefault(name, {}), name)
     if cell.value is None:
         cell.store(Joints([0.0] * 6) if name[0] == "#" else np.eye(4))
     while True:
