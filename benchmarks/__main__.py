@@ -68,9 +68,8 @@ def main() -> int:
             parser.error(f"the benchmark is {name!r}; accepted: {', '.join(COMMANDS)}")
     failed = []
     pressed: list[int] = []
-    signal.signal(
-        signal.SIGINT, lambda number, _: pressed.append(number)
-    )  # the benchmark ends by itself
+    # the benchmark ends by itself
+    signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
     for name in names:
         print(f"\n{name}", flush=True)
         command = [sys.executable, "-m", *f"benchmarks.{COMMANDS[name]}".split()]

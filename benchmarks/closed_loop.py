@@ -176,9 +176,8 @@ class PinocchioArm:
         coulomb = np.where(forward, self._coulomb[0], self._coulomb[1])
         static = np.where(forward, self._static[0], self._static[1])
         sliding = coulomb + (static - coulomb) * np.exp(-((speed / self._omega_s) ** self._delta))
-        x = (
-            self._c0 * speed / sliding * self._period + 1e-12
-        )  # kept from 0, where 0 / 0 would follow
+        # kept from 0, where 0 / 0 would follow
+        x = self._c0 * speed / sliding * self._period + 1e-12
         z_dot = velocity - self._c0 * speed / sliding * self.z
         phi = -np.expm1(-x) / x
         advance = self._period * z_dot * phi

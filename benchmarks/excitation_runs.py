@@ -147,9 +147,8 @@ class ExcitationRun:
 
     def record(self, arm: SyntheticArm) -> JointRecord:
         """Return the run as it is read from a bag."""
-        from rx90_emulator.identification.records import (
-            JointRecord,
-        )  # logs need nothing of the identification
+        # logs need nothing of the identification
+        from rx90_emulator.identification.records import JointRecord
 
         digest = hashlib.sha256(self.name.encode()).hexdigest()
         return JointRecord(

@@ -28,11 +28,8 @@ WORKSPACE_DTYPE = np.dtype(
         ("axis", np.float64, (6, 3)),
         ("lever", np.float64, (6, 3)),  # origin x axis
         ("moment", np.float64, (6, 3)),  # first moment of a link, kg m
-        (
-            "inertia",
-            np.float64,
-            (6, 6),
-        ),  # xx, yy, zz, xy, xz, yz of a link about the base origin, kg m^2
+        # xx, yy, zz, xy, xz, yz of a link about the base origin, kg m^2
+        ("inertia", np.float64, (6, 6)),
         ("torque", np.float64, (6, 3)),  # on a link, about the base origin, Nm
         ("force", np.float64, (6, 3)),
     ],

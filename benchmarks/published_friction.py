@@ -38,17 +38,12 @@ from rx90_common.report.style import COLOURS
 
 COULOMB, COULOMB_LOAD = 3.11e-2, 2.34e-2
 STATIC_LOAD, SPEED_LOAD = 1.26e-1, 9.22  # of the load: Stribeck torque, and its speed in rad/s
-STATIC, STATIC_TEMPERATURE = (
-    -2.50e-2,
-    1.60e-3,
-)  # without load: Stribeck torque at 0 degrees Celsius, and by degree
+# without load: Stribeck torque at 0 degrees Celsius, and by degree
+STATIC, STATIC_TEMPERATURE = (-2.50e-2, 1.60e-3)
 SPEED, SPEED_TEMPERATURE = -24.81, 0.98  # its speed, rad/s, the same
 EXPONENT = 1.36
-VISCOUS, VISCOUS_TEMPERATURE, TEMPERATURE_SCALE = (
-    1.30e-4,
-    1.32e-3,
-    20.71,
-)  # s/rad, s/rad, degrees Celsius
+# s/rad, s/rad, degrees Celsius
+VISCOUS, VISCOUS_TEMPERATURE, TEMPERATURE_SCALE = (1.30e-4, 1.32e-3, 20.71)
 
 LOADS = (0.0, 0.2, 0.4, 0.6, 0.8)
 TEMPERATURES = (30.0, 40.0, 50.0, 60.0, 70.0, 80.0)

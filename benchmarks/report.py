@@ -71,9 +71,8 @@ def in_processes(
     found: dict[_Job, _Found] = {}
     # Not forked: numba and BLAS may hold threads already.
     with ProcessPoolExecutor(count, get_context("spawn")) as pool:
-        ours = signal.signal(
-            signal.SIGINT, signal.SIG_IGN
-        )  # as the processes, which start here, keep it
+        # as the processes, which start here, keep it
+        ours = signal.signal(signal.SIGINT, signal.SIG_IGN)
         # No more than run at once: those that the pool has queued could not be cancelled.
         waiting = {pool.submit(_results, job, part): part for part in islice(parts, count)}
         signal.signal(signal.SIGINT, ours)

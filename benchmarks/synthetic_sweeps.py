@@ -246,9 +246,8 @@ def run_presliding(setup: Setup, options: PlanOptions | None = None) -> list[Run
 def recorded(setup: Setup, run: Run, rng: np.random.Generator, noise: Noise) -> JointRecord:
     """Return the joint-side record of a run with the torque noise of the motors' sensors."""
     gear = setup.drives.gear
-    per_sample = noise.torque * np.sqrt(
-        1e-3 / setup.rates.period
-    )  # the rig's noise is that of 1 ms means
+    # the rig's noise is that of 1 ms means
+    per_sample = noise.torque * np.sqrt(1e-3 / setup.rates.period)
     position, torque = run.motor
     noisy = torque * gear + per_sample * STEADY_TORQUE * rng.standard_normal(torque.shape)
     joints = np.linalg.solve(WRIST, (position / gear).T).T

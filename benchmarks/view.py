@@ -88,9 +88,8 @@ class Pace:
 
 def processor_time(pid: int) -> float:
     """Return the processor time that a process has used, s, finer than /proc, which counts ticks of the kernel."""
-    return time.clock_gettime(
-        (~pid << 3) | 2
-    )  # CPUCLOCK_SCHED of another process, as clock_getcpuclockid makes it
+    # CPUCLOCK_SCHED of another process, as clock_getcpuclockid makes it
+    return time.clock_gettime((~pid << 3) | 2)
 
 
 @contextmanager

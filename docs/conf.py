@@ -35,9 +35,8 @@ nb_ipywidgets_js: dict[str, dict[str, str]] = {}  # of another host, and no note
 
 default_role = "code"
 nitpicky = True
-nitpick_ignore_regex = [
-    (r"py:.*", r".*")
-]  # of NumPy and others, whose inventories are on other hosts
+# of NumPy and others, whose inventories are on other hosts
+nitpick_ignore_regex = [(r"py:.*", r".*")]
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 autodoc_member_order = "bysource"

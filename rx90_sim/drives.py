@@ -33,7 +33,7 @@ from typing import Any
 
 import numpy as np
 
-from rx90_common.base.arrays import Array, Record
+from rx90_common.base.arrays import Array, Record, vectors
 from rx90_common.description.coupling import add_drive_torques, to_motor
 from rx90_common.description.drives import MAX_TERMS, Cogging, CurrentSensor, Windings
 from rx90_common.friction.bristle import decay
@@ -49,9 +49,8 @@ from rx90_common.kernels.elementary import (
 )
 from rx90_common.kernels.lanes import Lanes, Number, absolute, fma, load, select, size, store
 
-_SMALL = (
-    1e-2  # rad; below it the series of sin(x) / x is exact to rounding, and 0 is not divided by
-)
+# rad; below it the series of sin(x) / x is exact to rounding, and 0 is not divided by
+_SMALL = 1e-2
 _STREAM = np.uint64(1 << 32)  # the sequences of the sensors begin away from those of the friction
 
 
@@ -70,9 +69,7 @@ def cogging_dtype(motors: int) -> np.dtype[np.void]:
 
 def cogging_state_dtype(motors: int) -> np.dtype[np.void]:
     """Return the type of the workspace: of the motors; torques joint side, Nm."""
-    return np.dtype(
-        [(name, np.float64, (motors,)) for name in ("angle", "speed", "torque")], align=True
-    )
+    return np.dtype(vectors(motors, "angle", "speed", "torque"), align=True)
 
 
 def fill_cogging(record: Any, cogging: Cogging, gear: Array) -> None:
@@ -131,11 +128,8 @@ def winding_dtype(motors: int) -> np.dtype[np.void]:
     return np.dtype(
         [
             ("used", np.int64),
-            (
-                "heat",
-                np.float64,
-                (motors,),
-            ),  # of the square of the torque at the reference temperature, K/s / Nm^2
+            # of the square of the torque at the reference temperature, K/s / Nm^2
+            ("heat", np.float64, (motors)),
             ("coefficient", np.float64),
             ("reference", np.float64),
             ("cooling", np.float64, (motors,)),  # 1/s
@@ -225,9 +219,7 @@ def sensor_dtype(motors: int) -> np.dtype[np.void]:
         [
             ("used", np.int64),
             ("seed", np.uint64),
-            ("offset", np.float64, (motors,)),
-            ("noise", np.float64, (motors,)),
-            ("resolution", np.float64, (motors,)),
+            *vectors(motors, "offset", "noise", "resolution"),
             ("gain", np.float64),  # of the current loop, for a tick
             ("torque_constant", np.float64, (motors,)),
         ],
@@ -240,12 +232,11 @@ def sensor_state_dtype(motors: int) -> np.dtype[np.void]:
     return np.dtype(
         [
             ("counter", np.uint64, (motors,)),
-            (
-                "error",
-                np.float64,
-                (motors,),
-            ),  # by how much the current is less than without errors, A
-            ("torque", np.float64, (motors,)),  # reported, motor side, Nm
+            *vectors(
+                motors,
+                "error",  # by how much the current is less than without errors, A
+                "torque",  # reported, motor side, Nm
+            ),
         ],
         align=True,
     )
@@ -296,30 +287,3 @@ def _measure(sensor: Any, state: Any, motor: int, current: float) -> float:
         shown = whole_steps(shown, sensor.resolution[motor])
     state.torque[motor] = sensor.torque_constant[motor] * shown
     return shown
-
-
-@inlined
-def observe(
-    angle: Lanes,
-    position: Lanes,
-    velocity: Lanes,
-    period: float,
-    position_gain: float,
-    velocity_gain: float,
-) -> tuple[Lanes, Lanes]:
-    """Advance the tracking loop of a resolver-to-digital converter: of second order, critically damped.
-
-    Args:
-        angle: the motor's position, rad, not rounded.
-        position: the observer's position before, rad.
-        velocity: the observed velocity before, rad/s.
-        period: the tick, s.
-        position_gain: gain of the innovation on the position.
-        velocity_gain: gain of the innovation on the velocity, 1/s.
-
-    Returns:
-        The observer's position and velocity now.
-    """
-    predicted = position + period * velocity
-    innovation = angle - predicted
-    return predicted + position_gain * innovation, velocity + velocity_gain * innovation

@@ -38,7 +38,7 @@ from typing import Any
 import numpy as np
 
 from rx90_common.arm_dynamics import factorise, mass_and_bias, solve
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, vectors
 from rx90_common.description.coupling import (
     add_drive,
     add_drive_torques,
@@ -71,10 +71,13 @@ def transmission_dtype(drives: int) -> np.dtype[np.void]:
             ("flexible", np.int64),  # whether any drive is elastic; if not, nothing below is used
             ("link_friction", np.int64),  # whether the friction of the joints acts on the links
             ("elastic", np.int64, (drives,)),
-            ("rotor", np.float64, (drives,)),  # joint side, kg m^2
-            ("stiffness", np.float64, (drives,)),  # 0 for rigid drives
-            ("damping", np.float64, (drives,)),
-            ("half_play", np.float64, (drives,)),
+            *vectors(
+                drives,
+                "rotor",  # joint side, kg m^2
+                "stiffness",  # 0 for rigid drives
+                "damping",
+                "half_play",
+            ),
         ],
         align=True,
     )
@@ -84,32 +87,26 @@ def transmission_state_dtype(drives: int) -> np.dtype[np.void]:
     """Return the type of the state."""
     return np.dtype(
         [
-            (
-                "twist",
-                np.float64,
-                (drives,),
-            ),  # motor angle at the gear's output minus that of the driven side, rad
-            ("rate", np.float64, (drives,)),
-            ("torque", np.float64, (drives,)),  # mean over the last step, Nm
-            (
-                "friction",
-                np.float64,
-                (drives,),
-            ),  # on the motors, with brakes and cogging, mean over the last step, Nm
-            (
-                "link_torque",
-                np.float64,
-                (drives,),
-            ),  # on the links, but for the transmitted one, in the last step, Nm
+            *vectors(
+                drives,
+                "twist",  # motor angle at the gear's output minus that of the driven side, rad
+                "rate",
+                "torque",  # mean over the last step, Nm
+                "friction",  # on the motors, with brakes and cogging, mean over the last step, Nm
+                "link_torque",  # on the links, but for the transmitted one, in the last step, Nm
+            ),
             # Workspace of a step.
-            ("acceleration", np.float64, (drives,)),  # of the twist
-            ("twist_mid", np.float64, (drives,)),
-            ("rate_mid", np.float64, (drives,)),
-            ("motor_angle", np.float64, (drives,)),  # of the joints as the motors have them, rad
-            ("motor_velocity", np.float64, (drives,)),
-            ("drive", np.float64, (drives,)),  # torque of the motors less friction, Nm
-            ("offset", np.float64, (drives,)),  # torque = offset + slope acceleration
-            ("slope", np.float64, (drives,)),
+            *vectors(
+                drives,
+                "acceleration",  # of the twist
+                "twist_mid",
+                "rate_mid",
+                "motor_angle",  # of the joints as the motors have them, rad
+                "motor_velocity",
+                "drive",  # torque of the motors less friction, Nm
+                "offset",  # torque = offset + slope acceleration
+                "slope",
+            ),
             ("matrix", np.float64, (drives, drives)),
         ],
         align=True,
@@ -256,9 +253,8 @@ def elastic_substep(plant: Any, state: Any, step: float) -> None:
         for i in range(n):
             state.rhs[i] = 0.0
         add_drive_torques(plant.gear, gears.torque, state.rhs)
-        if (
-            plant.transmission.link_friction
-        ):  # lies between gear and link: the link gets what friction leaves
+        # lies between gear and link: the link gets what friction leaves
+        if plant.transmission.link_friction:
             take_last_friction(plant, state, state.rhs)
         advance_loads(plant, state, state.rhs, state.acceleration, step)
 
@@ -320,18 +316,23 @@ def _linearise(constants: Any, gears: Any, step: float) -> None:
     """Write the transmitted torques as functions of the accelerations of the twists, about their present ones."""
     for i in range(size(constants.rotor)):
         if constants.elastic[i]:
-            turn = gears.acceleration[i]
-            way = step * (gears.rate[i] + 0.5 * step * turn)
-            torque, slope = mean_torque(
-                constants.stiffness[i],
-                constants.damping[i],
-                constants.half_play[i],
-                gears.twist[i],
-                way,
-                step,
-            )
+            torque, slope = _torque_of_gear(constants, gears, i, step)
             gears.slope[i] = 0.5 * step * step * slope
-            gears.offset[i] = torque - gears.slope[i] * turn
+            gears.offset[i] = torque - gears.slope[i] * gears.acceleration[i]
+
+
+@inlined
+def _torque_of_gear(constants: Any, gears: Any, i: int, step: float) -> tuple[float, float]:
+    """Return what `mean_torque` does, for the present acceleration of a gear's twist."""
+    way = step * (gears.rate[i] + 0.5 * step * gears.acceleration[i])
+    return mean_torque(
+        constants.stiffness[i],
+        constants.damping[i],
+        constants.half_play[i],
+        gears.twist[i],
+        way,
+        step,
+    )
 
 
 @inlined
@@ -374,15 +375,7 @@ def _accelerate_twists(plant: Any, gears: Any, a: Array, step: float) -> bool:
         gears.acceleration[i] = turn
         gears.torque[i] = torque
         if constants.half_play[i] > 0.0:
-            way = step * (gears.rate[i] + 0.5 * step * turn)
-            true, _ = mean_torque(
-                constants.stiffness[i],
-                constants.damping[i],
-                constants.half_play[i],
-                gears.twist[i],
-                way,
-                step,
-            )
+            true, _ = _torque_of_gear(constants, gears, i, step)
             found = found and abs(true - torque) <= _TOLERANCE * (
                 abs(true) + abs(torque) + abs(drive) + abs(inertial)
             )

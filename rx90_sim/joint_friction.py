@@ -18,13 +18,12 @@ from rx90_common.friction.arm_elements import (
     share_among_elements,
     transmit,
 )
-from rx90_common.friction.bristle import bristle_step, friction_torque
+from rx90_common.friction.bristle import bristle_step
 from rx90_common.friction.compiled_elements import load_elements
 from rx90_common.friction.parts import step as part_steps
 from rx90_common.friction.parts.step import (
     parts_energy,
     parts_step,
-    parts_torque,
     reset_parts,
     tick_parts,
 )
@@ -131,22 +130,6 @@ def _parted_friction(plant: Any, state: Any, angle: Array, velocity: Array, step
 
 
 @kernel
-def friction_now(plant: Any, state: Any, angle: Array, velocity: Array, torque: Array) -> None:
-    """Write the friction torques of the elements at this instant, without the brakes', Nm, shape (e,).
-
-    The angles, rad, and the velocities, rad/s, are those of the joints, shape (n,).
-    """
-    n = size(state.z)
-    inputs = element_inputs(plant.gear, velocity)
-    z = load(state.z, n)
-    if plant.parts.used:
-        angles = element_inputs(plant.gear, angle)
-        store(torque, parts_torque(plant.friction, plant.parts, state.parts, z, angles, inputs, n))
-    else:
-        store(torque, friction_torque(load_elements(plant.friction, n), z, inputs))
-
-
-@kernel
 def advance_loads(plant: Any, state: Any, torque: Array, acceleration: Array, step: float) -> None:
     """Update the parts with the torques that the joints transmitted over a step.
 
@@ -168,24 +151,16 @@ def advance_parts(plant: Any, state: Any) -> None:
     n = size(state.z)
     tick_parts(plant.parts, state.parts, load(state.parts.transmitted, n), plant.period, n)
     if plant.parts.temperature.used:
-        _warm_joints(plant, state)
-
-
-@kernel
-def _warm_joints(plant: Any, state: Any) -> None:
-    """Let friction and motors heat the joints over a tick."""
-    n = size(state.z)
-    motor = load(state.motor_torque, size(state.motor_torque))
-    heating = (
-        relative_resistance(plant.winding, load(state.temperature, size(state.temperature)))
-        * motor
-        * motor
-    )
-    stored = parts_energy(plant.friction, plant.parts, state.parts, load(state.z, n), n)
-    motors = of_motors(plant.gear, heating)
-    advance_temperatures(
-        plant.parts.temperature, state.parts.temperature, stored, motors, plant.period, n
-    )
+        # Friction and motors heat the joints.
+        motor = load(state.motor_torque, size(state.motor_torque))
+        resistance = relative_resistance(
+            plant.winding, load(state.temperature, size(state.temperature))
+        )
+        stored = parts_energy(plant.friction, plant.parts, state.parts, load(state.z, n), n)
+        motors = of_motors(plant.gear, resistance * motor * motor)
+        advance_temperatures(
+            plant.parts.temperature, state.parts.temperature, stored, motors, plant.period, n
+        )
 
 
 @kernel

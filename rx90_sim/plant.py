@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from functools import cache, lru_cache
+from functools import cache
 from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.arm_dynamics import body_dtype, manipulator_dtype, manipulator_record
-from rx90_common.base.arrays import Array, Record
+from rx90_common.base.arrays import Array, Record, vectors
 from rx90_common.base.errors import ConfigError, DivergenceError
-from rx90_common.base.models import Row
 from rx90_common.base.rates import Rates, ticks_per
 from rx90_common.description.coupling import (
     ArmSize,
@@ -23,7 +22,7 @@ from rx90_common.description.coupling import (
 )
 from rx90_common.description.drives import LINK, DriveParameters
 from rx90_common.description.robot import RobotModel
-from rx90_common.friction import FrictionElement, FrictionSet
+from rx90_common.friction import FrictionSet
 from rx90_common.friction.arm_elements import fill_arm_parts
 from rx90_common.friction.compiled_elements import element_arrays, elements_dtype
 from rx90_common.friction.parts.scatter import check_seed
@@ -58,14 +57,14 @@ def plant_dtype(arm: ArmSize) -> np.dtype[np.void]:
             ("brake", elements_dtype(e)),  # a closed brake is a stiff bristle element on its motor
             ("parts", parts_dtype(e)),
             gear_field("gear", arm),
-            ("peak_torque", np.float64, (n,)),
-            ("resolution", np.float64, (n,)),  # of the encoder, motor side, rad
+            *vectors(
+                n,
+                "peak_torque",
+                "resolution",  # of the encoder, motor side, rad
+            ),
             ("observer_position", np.float64),  # gains of the velocity observer
             ("observer_velocity", np.float64),
-            ("lower", np.float64, (n,)),
-            ("upper", np.float64, (n,)),
-            ("stop_stiffness", np.float64, (n,)),
-            ("stop_damping", np.float64, (n,)),
+            *vectors(n, "lower", "upper", "stop_stiffness", "stop_damping"),
             ("period", np.float64),
             ("substeps", np.int64),
             ("speed_limit", np.float64, (n,)),
@@ -84,26 +83,24 @@ def state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     n, e, _ = arm
     return np.dtype(
         [
-            ("q", np.float64, (n,)),
-            ("v", np.float64, (n,)),
-            ("z", np.float64, (e,)),
-            ("brake_z", np.float64, (e,)),
+            *vectors(n, "q", "v"),
+            *vectors(e, "z", "brake_z"),
             ("brakes_closed", np.int64),
-            ("acceleration", np.float64, (n,)),  # mean over the last step
-            ("drive_torque", np.float64, (n,)),  # joint side, Nm
-            ("motor_torque", np.float64, (n,)),
-            ("motor_position", np.float64, (n,)),  # measured by the encoder
-            ("motor_velocity", np.float64, (n,)),  # estimated by the observer
-            ("observer", np.float64, (n,)),  # the observer's position
+            *vectors(
+                n,
+                "acceleration",  # mean over the last step
+                "drive_torque",  # joint side, Nm
+                "motor_torque",
+                "motor_position",  # measured by the encoder
+                "motor_velocity",  # estimated by the observer
+                "observer",  # the observer's position
+            ),
             ("saturated", np.int64, (n,)),  # ticks in which a motor gave less than its command
             # Workspace of a step; the factor of the mass matrix is also the next step's predictor.
             ("body", body_dtype(n)),
             ("mass_matrix", np.float64, (n, n)),
             ("factor", np.float64, (n, n)),
-            ("bias", np.float64, (n,)),
-            ("q_mid", np.float64, (n,)),
-            ("v_mid", np.float64, (n,)),
-            ("rhs", np.float64, (n,)),
+            *vectors(n, "bias", "q_mid", "v_mid", "rhs"),
             ("transmission", transmission_state_dtype(n)),
             ("cogging", cogging_state_dtype(n)),
             ("sensor", sensor_state_dtype(n)),
@@ -207,23 +204,12 @@ def _fill_brakes(brake: Any, drives: DriveParameters) -> None:
     The brake of a motor that turns with several joints is behind those of the joints, and its own joint has none: in
     the RX family motor 6 turns with joints 5 and 6 together, so its brake is the seventh.
     """
-    brakes = _brake_elements(drives.brake.torque, drives.brake.stiffness, drives.brake.damping)
+    braked = list(drives.turning.element_of_motor)
     brake["tau_c"] = brake["tau_s"] = brake["alpha"] = 1.0
-    for name in brakes.dtype.names or ():
-        brake[name][..., drives.turning.element_of_motor] = brakes[name][0]
-
-
-@lru_cache(maxsize=32)
-def _brake_elements(torque: Row, stiffness: Row, damping: Row) -> Record:
-    """Return torque, stiffness and damping as bristle elements; runs of a sweep mostly have the same."""
-    values = zip(torque, stiffness, damping, strict=True)
-    law = {"omega_s": 1.0, "delta": 1.0, "c2": 0.0}
-    return element_arrays(
-        [
-            FrictionElement.of({"tau_c": tau, "tau_s": tau, "c0": c0, "c1": c1, **law})
-            for tau, c0, c1 in values
-        ]
-    )
+    brake["tau_c"][:, braked] = brake["tau_s"][:, braked] = drives.brake.torque
+    brake["inverse_omega_s"][braked] = brake["delta"][braked] = 1.0
+    brake["c0"][braked] = drives.brake.stiffness
+    brake["c1"][braked] = drives.brake.damping
 
 
 class Plant:
@@ -239,11 +225,11 @@ class Plant:
 
     Attributes:
         joint_names: names of the joints.
-        friction_names: names of the friction elements.
+        friction: the friction elements.
         tick: number of the tick whose states are sampled now.
         constants: compiled constants, shape (1,), of `plant_dtype`.
         state: compiled state, shape (1,), of `state_dtype`.
-        temperatures: temperatures of the joints.
+        temperatures: of the friction elements, degrees Celsius, shape (e,), a view of the state; 0 for those without.
     """
 
     def __init__(
@@ -256,7 +242,7 @@ class Plant:
         seed: int = 0,
     ) -> None:
         self.joint_names = robot.joint_names
-        self.friction_names = friction.names
+        self.friction = friction
         self.constants = _plant_record(robot, drives, friction, rates, substeps, seed)
         self.state: np.ndarray[Any, Any] = (state := np.zeros(1, state_dtype(drives.turning.size)))
         self.tick = 0
@@ -272,7 +258,7 @@ class Plant:
             np.zeros(len(friction.names)),
         )
         self._no_command = np.zeros(len(self.joint_names))
-        self.temperatures = JointTemperatures(friction, state)
+        self.temperatures: Array = state["parts"]["temperature"]["temperature"][0]
         self.reset(np.clip(self._no_command, self._lower, self._upper))
 
     def reset(self, position: ArrayLike) -> None:
@@ -387,32 +373,8 @@ class Plant:
         return self._friction_states
 
 
-class JointTemperatures:
-    """Views of a plant's state.
-
-    Args:
-        friction: the elements.
-        state: of the plant, shape (1,), of `state_dtype`.
-
-    Attributes:
-        elements: places of the elements that have a temperature in `FrictionSet.names`.
-        now: degrees Celsius, shape (e,); 0 for the other elements.
-    """
-
-    def __init__(self, friction: FrictionSet, state: np.ndarray[Any, Any]) -> None:
-        self._friction = friction
-        self.elements = tuple(
-            i for i, element in enumerate(friction.elements) if element.temperature is not None
-        )
-        self.now: Array = state["parts"]["temperature"]["temperature"][0]
-
-    def beyond_law(self) -> str:
-        """Return in words which joints are warmer than the law of their friction holds; '' if none is."""
-        return beyond_law(self._friction, self.now)
-
-
 def beyond_law(friction: FrictionSet, temperatures: Array) -> str:
-    """Return the same for any temperatures of the elements, degrees Celsius."""
+    """Return in words which elements are warmer, degrees Celsius, than their law holds; '' if none is."""
     return ", ".join(
         f"{name} at {now:.1f} °C keeps the friction of {part.highest:g} °C, the highest of its law"
         for name, element, now in zip(friction.names, friction.elements, temperatures, strict=True)

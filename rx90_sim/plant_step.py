@@ -18,12 +18,14 @@ from rx90_common.arm_dynamics import factorise, mass_and_bias, solve
 from rx90_common.base.arrays import Record
 from rx90_common.description.coupling import to_joint_torque, to_motor
 from rx90_common.friction.arm_elements import element_inputs, element_of_motor
+from rx90_common.friction.bristle import friction_torque
+from rx90_common.friction.compiled_elements import load_elements
+from rx90_common.friction.parts.step import parts_torque
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, size, store
 from rx90_sim.drives import (
     add_cogging,
     current_share,
-    observe,
     reset_sensors,
     sense_currents,
     warm_windings,
@@ -41,7 +43,6 @@ from rx90_sim.joint_friction import (
     add_stops,
     advance_loads,
     advance_parts,
-    friction_now,
     reset_friction,
 )
 
@@ -132,7 +133,10 @@ def plant_step(plants: Record, states: Record, command: NDArray[np.float64], pow
 
 @kernel
 def sample_drives(plants: Record, states: Record) -> None:
-    """Sample the resolvers at the present position, once in a tick: counts, and the converters' velocity."""
+    """Sample the resolvers at the present position, once in a tick: counts, and the converters' velocity.
+
+    That is the velocity of the tracking loop, of second order and critically damped, at the angle before rounding.
+    """
     plant = plants[0]
     state = states[0]
     to_motor(plant.gear, state.q, state.motor_position)
@@ -140,16 +144,11 @@ def sample_drives(plants: Record, states: Record) -> None:
         add_twists(plant, state, state.motor_position)
     n = size(state.q)
     angle = load(state.motor_position, n)
-    position, velocity = observe(
-        angle,
-        load(state.observer, n),
-        load(state.motor_velocity, n),
-        plant.period,
-        plant.observer_position,
-        plant.observer_velocity,
-    )
-    store(state.observer, position)
-    store(state.motor_velocity, velocity)
+    velocity = load(state.motor_velocity, n)
+    predicted = load(state.observer, n) + plant.period * velocity
+    innovation = angle - predicted
+    store(state.observer, predicted + plant.observer_position * innovation)
+    store(state.motor_velocity, velocity + plant.observer_velocity * innovation)
     store(state.motor_position, whole_steps(angle, load(plant.resolution, n)))
 
 
@@ -174,15 +173,22 @@ def _worst_joint(plant: Any, state: Any) -> int:
 def friction_states(
     plants: Record, states: Record, velocity: NDArray[np.float64], torque: NDArray[np.float64]
 ) -> None:
-    """Write input velocity, rad/s, and friction torque, Nm, of the elements, shape (e,)."""
+    """Write input velocity, rad/s, and friction torque without the brakes', Nm, of the elements, shape (e,)."""
     plant = plants[0]
     state = states[0]
     angle = state.q
     speed = state.v
     if plant.transmission.flexible and not plant.transmission.link_friction:
         angle, speed = on_motor_side(plant, state)
-    store(velocity, element_inputs(plant.gear, speed))
-    friction_now(plant, state, angle, speed, torque)
+    n = size(state.z)
+    inputs = element_inputs(plant.gear, speed)
+    store(velocity, inputs)
+    z = load(state.z, n)
+    if plant.parts.used:
+        angles = element_inputs(plant.gear, angle)
+        store(torque, parts_torque(plant.friction, plant.parts, state.parts, z, angles, inputs, n))
+    else:
+        store(torque, friction_torque(load_elements(plant.friction, n), z, inputs))
 
 
 @kernel

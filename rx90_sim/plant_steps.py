@@ -124,7 +124,6 @@ def plant_steps(
     arm: Any,
     period: float,
     requested: int | None = None,
-    braked: bool = True,
 ) -> int:
     """Return the number of plant steps in a tick: the requested one, or the number that the arm needs.
 
@@ -135,7 +134,6 @@ def plant_steps(
         arm: the rigid arm, shape (1,), of `manipulator_dtype(n)`; with the rotors.
         period: of a tick, s.
         requested: steps in a tick, None for as many as it needs.
-        braked: whether there are brakes and end stops.
     """
     rows = _rows(drives, friction, robot.max_velocity)
     numbers = (
@@ -156,16 +154,14 @@ def plant_steps(
     most = MAX_AUTOMATIC_STEPS if requested is None else requested
 
     def bear(steps: int) -> bool:
-        return all(load.largest <= load.most for load in _loads(rows, gram, period / steps, braked))
+        return all(load.largest <= load.most for load in _loads(rows, gram, period / steps))
 
     if bear(1 if requested is None else requested):
         return 1 if requested is None else requested
     needed = _first(bear)
     if needed is not None and needed <= most:
         return needed
-    loads = sorted(
-        _loads(rows, gram, period / most, braked), key=lambda one: one.largest / one.most
-    )
+    loads = sorted(_loads(rows, gram, period / most), key=lambda one: one.largest / one.most)
     raise ConfigError(_refusal(rows, gram, loads, period / most, most, requested, needed))
 
 
@@ -227,20 +223,17 @@ def _rows(drives: DriveParameters, friction: FrictionSet, max_velocity: Array) -
     )
 
 
-def _loads(rows: _Rows, gram: Array, step: float, braked: bool) -> Iterator[_Load]:
+def _loads(rows: _Rows, gram: Array, step: float) -> Iterator[_Load]:
     """Yield the quantities with their bounds for a step, s."""
     k = step * step * rows.stiffness
     d = step * rows.damping
     still = math.sqrt(8.0 * GROWTH * step)  # k whose undamped vibration grows by GROWTH
-    for part, most_k, most_d in ((slice(rows.elements), 0.05, 0.5), (slice(rows.held), 0.25, 0.8))[
-        : 1 + braked
-    ]:
+    for part, most_k, most_d in ((slice(rows.elements), 0.05, 0.5), (slice(rows.held), 0.25, 0.8)):
         stiff = _load(k, part, gram, most_k, None)
         yield stiff
         yield _load(step * rows.most_damping, part, gram, most_d, 0.0)
-        cover = 3.2 / min(
-            max(stiff.largest, 1e-100), most_k
-        )  # up to this k the criterion lies above still + cover d
+        # up to this k the criterion lies above still + cover d
+        cover = 3.2 / min(max(stiff.largest, 1e-100), most_k)
         with np.errstate(over="ignore"):  # damping that another check refuses
             bare = k - cover * d
         yield _load(bare, part, gram, still, cover)
@@ -309,49 +302,26 @@ def _compliance(
     w[e : e + n, n:] = np.eye(n)[:, soft]
     w[e + n : e + 2 * n, :n] = np.eye(n)
     w[e + 2 * n :, n:] = np.eye(n)[:, soft]
-    largest = np.zeros((len(w), len(w)))
     # 128 points that fill a cube evenly: multiples of powers of a root, modulo 1 (Kronecker's sequence).
     shares = (
         0.5 + np.arange(1.0, 129.0)[:, None] * _ROOTS[n - 1] ** -np.arange(1.0, n + 1.0)
     ) % 1.0
     arms = np.frombuffer(arm, manipulator_dtype(n))
-    bodies = np.zeros(1, body_dtype(n))
-    _raise_to_largest(arms, bodies, low + shares * (high - low), whole, w, largest)
-    return largest
+    masses = np.tile(whole, (len(shares), 1, 1))
+    _masses(arms, np.zeros(1, body_dtype(n)), low + shares * (high - low), masses)
+    return np.asarray(np.abs(w @ np.linalg.solve(masses, w.T)).max(axis=0))
 
 
 @kernel
-def _raise_to_largest(
-    arms: Record, bodies: Record, poses: Array, whole: Array, w: Array, largest: Array
-) -> None:
-    """Raise `largest` to the entries of W M^-1 W^T, by size; M's block of the joints in `whole` is overwritten."""
-    rows, size = w.shape
+def _masses(arms: Record, bodies: Record, poses: Array, masses: Array) -> None:
+    """Write the mass matrices of poses, shape (k, n), into the first rows and columns of others, (k, m, m)."""
     n = poses.shape[1]
     mass = np.empty((n, n))
     bias = np.empty(n)
     still = np.zeros(n)
-    factor = np.empty((size, size))
-    solved = np.empty((rows, size))
-    for pose in range(len(poses)):
-        mass_and_bias(arms[0], bodies[0], poses[pose], still, mass, bias)
-        whole[:n, :n] = mass
-        for i in range(size):  # M = L L^T
-            for j in range(i + 1):
-                total = whole[i, j]
-                for k in range(j):
-                    total -= factor[i, k] * factor[j, k]
-                factor[i, j] = math.sqrt(total) if i == j else total / factor[j, j]
-        for r in range(rows):  # the rows of W L^-T
-            for i in range(size):
-                total = w[r, i]
-                for k in range(i):
-                    total -= factor[i, k] * solved[r, k]
-                solved[r, i] = total / factor[i, i]
-            for other in range(r + 1):
-                total = 0.0
-                for k in range(size):
-                    total += solved[r, k] * solved[other, k]
-                largest[r, other] = largest[other, r] = max(largest[r, other], abs(total))
+    for k in range(len(poses)):
+        mass_and_bias(arms[0], bodies[0], poses[k], still, mass, bias)
+        masses[k, :n, :n] = mass
 
 
 def _refusal(

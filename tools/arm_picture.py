@@ -28,9 +28,8 @@ _POSES = (
 )
 _AZIMUTHS = (35.0, 90.0, -40.0, 30.0)  # of the eye about z, deg
 _ELEVATION = 14.0  # deg
-_LIGHT = np.array([0.35, -0.5, 0.8]) / np.linalg.norm(
-    [0.35, -0.5, 0.8]
-)  # right, away, up, as the eye sees it
+# right, away, up, as the eye sees it
+_LIGHT = np.array([0.35, -0.5, 0.8]) / np.linalg.norm([0.35, -0.5, 0.8])
 _SAMPLES = 3  # along each side of a pixel
 _LENGTH = 400  # of the arm, in pixels
 

@@ -174,9 +174,8 @@ def write(folder: Path, only: list[str]) -> None:
 
 def _plain(text: str) -> str:
     """Return a text without what is another in each run: hashes of bags, dates, scratch folders, times taken."""
-    text = re.sub(
-        r"(?<![.\w])(?=\w*[a-f])[0-9a-f]{12,64}\b", "HASH", text
-    )  # not the digits behind a point
+    # not the digits behind a point
+    text = re.sub(r"(?<![.\w])(?=\w*[a-f])[0-9a-f]{12,64}\b", "HASH", text)
     text = re.sub(
         r"\b20\d\d-\d\d-\d\d(?:[T ]\d\d:\d\d(?::\d\d)?(?:Z|[+-]\d\d:\d\d| UTC)?)?", "DATE", text
     )

@@ -156,9 +156,8 @@ def block_diagram(model: RampModel, start: float, time: Array, step: float = FIX
     found = _fixed_steps(
         model.slope, start, (model.coulomb, model.viscous), model.inertia, step, count
     )
-    at = np.rint(time / step).astype(
-        int
-    )  # the scope shows the solver's last step, not a line between two
+    # the scope shows the solver's last step, not a line between two
+    at = np.rint(time / step).astype(int)
     return Sensor(time, *found[:, at])
 
 

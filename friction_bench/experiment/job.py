@@ -78,9 +78,8 @@ def run_ramp(
     wait_for_rest(client)
     with armed(client):
         samples = _follow(client, client.start_ramp(slope, end_torque), on_sample)
-    samples = [
-        sample for sample in samples if sample.report.dac < end
-    ]  # a held end torque is no ramp
+    # a held end torque is no ramp
+    samples = [sample for sample in samples if sample.report.dac < end]
     if len(samples) < 2:
         raise RigError(
             f"{label}: {counted(len(samples), 'reading')} during the ramp; accepted: at least 2"

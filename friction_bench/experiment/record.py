@@ -275,9 +275,8 @@ def read_text(
     elif kind == "increments":
         angle = np.cumsum(values) * angle_step
     else:
-        if (
-            kind == INSTANTANEOUS
-        ):  # by the trapezoidal rule, from a reading at rest before the first one
+        # by the trapezoidal rule, from a reading at rest before the first one
+        if kind == INSTANTANEOUS:
             values = (values + np.concatenate(([0.0], values[:-1]))) / 2
         angle = np.cumsum(values * np.diff(time, prepend=time[0] - tick))
     return RampRecord(time, np.asarray(angle), slope, angle_step, loaded=loaded, label=path.name)
@@ -321,9 +320,8 @@ def break_away(record: RampRecord, asymptote: tuple[float, float], T: float | No
         T: time constant, s; the friction is assumed to fall to f_c = m (b / a - T) at once. None where it is not known:
             the friction is assumed not to fall.
     """
-    from scipy.optimize import (
-        minimize_scalar,
-    )  # here, because --help of the command must not wait for it
+    # here, because --help of the command must not wait for it
+    from scipy.optimize import minimize_scalar
 
     time, angle, first = first_motion(record)
     a, b = asymptote

@@ -133,9 +133,8 @@ def _watchdog(client: RigClient) -> list[Check]:
                         and answered is not None
                     ):
                         took = sample.tick - answered + 1
-                        return [
-                            Check(name, f"{ticks} ± 1", str(took), abs(took - ticks) <= 1)
-                        ]  # a report may be lost
+                        # a report may be lost
+                        return [Check(name, f"{ticks} ± 1", str(took), abs(took - ticks) <= 1)]
         finally:
             client.beating = True
         client.request(Command.STOP)

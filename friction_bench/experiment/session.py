@@ -219,9 +219,8 @@ def armed(client: RigClient) -> Iterator[None]:
     except BaseException:  # never leave with the power stage on
         with contextlib.suppress(RigError):  # a broken line carries no heartbeat either
             client.urgent_stop()
-        client.known_stops = (
-            client.stops
-        )  # the motion's own: the next command is not overtaken by it
+        # the motion's own: the next command is not overtaken by it
+        client.known_stops = client.stops
         raise
 
 

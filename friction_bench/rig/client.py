@@ -110,9 +110,8 @@ class RigClient:
         self._sequence = 0
         self._sent_at = -1.0
         self._read_at = port.now()
-        self._listened = self._last_report_at = (
-            0.0  # time spent listening, s, the clock of the answers' timeouts
-        )
+        # time spent listening, s, the clock of the answers' timeouts
+        self._listened = self._last_report_at = 0.0
 
     @property
     def greeting(self) -> HelloReply:
@@ -196,9 +195,8 @@ class RigClient:
             RigRefusedError: if it speaks another protocol version.
         """
         self.hello = self.last = None
-        self.stopping = (
-            False  # HELLO takes the torque away too, and is repeated until it is answered
-        )
+        # HELLO takes the torque away too, and is repeated until it is answered
+        self.stopping = False
         end = self._listened + GREETING_TIMEOUT
         greet_at = self.port.now()
         while self._listened < end:

@@ -259,9 +259,8 @@ class PtyRig:
         with contextlib.suppress(OSError):
             self.emulated.board.write(os.read(self._master, 4096))
         self.emulated.advance(seconds)
-        with contextlib.suppress(
-            OSError
-        ):  # nobody reads: a full line loses bytes, as a real one does
+        # nobody reads: a full line loses bytes, as a real one does
+        with contextlib.suppress(OSError):
             os.write(self._master, self.emulated.board.read())
 
     def close(self) -> None:

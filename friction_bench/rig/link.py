@@ -86,9 +86,8 @@ class RigLink:
     def last(self) -> Report | None:
         """Return the latest report, None without a connection."""
         client = self.client
-        last = (
-            None if client is None else client.last
-        )  # once: the link's thread forgets it at a reset
+        # once: the link's thread forgets it at a reset
+        last = None if client is None else client.last
         return None if last is None else last.report
 
     @property

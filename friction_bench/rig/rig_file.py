@@ -353,9 +353,8 @@ class Rig(RigFile):
             ),
             ("ramps.hold, in ticks,", self.hold_ticks, hello.hold_ticks),
         ]
-        if (
-            self.emulation is not None
-        ):  # the file of a rig that cannot be emulated does not contain it
+        # the file of a rig that cannot be emulated does not contain it
+        if self.emulation is not None:
             pairs.append(
                 (
                     "emulation.amplifier.off_time > 0",

@@ -48,9 +48,8 @@ class SerialPort:
             self._serial.write_timeout = WRITE_TIMEOUT
             self._serial.open()
         except _FAILURES as error:
-            kind = (
-                RigInputError if type(error) is ValueError else RigLostError
-            )  # no URL that pyserial knows
+            # no URL that pyserial knows
+            kind = RigInputError if type(error) is ValueError else RigLostError
             raise kind(f"{url}: cannot be opened ({_reason(error)})") from error
 
     def now(self) -> float:
@@ -99,9 +98,8 @@ class SerialPort:
             RigLostError: if the line is broken.
         """
         end = self.now() + timeout
-        with self._lost_while(
-            "reading", TypeError
-        ):  # TypeError: closed by another thread meanwhile
+        # TypeError: closed by another thread meanwhile
+        with self._lost_while("reading", TypeError):
             while True:
                 data = self._serial.read(max(1, self._serial.in_waiting))
                 if data or self.now() >= end:

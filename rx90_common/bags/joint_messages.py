@@ -146,9 +146,8 @@ def _places(frame_id: str, content: _Content) -> tuple[list[int], list[int]]:
     """
     fixed = list(range(ENCAPSULATION))
     numbers: list[int] = []
-    texts = [
-        len(text.encode()) + 5 for text in (frame_id, *content.names)
-    ]  # a length before, a NUL behind
+    # a length before, a NUL behind
+    texts = [len(text.encode()) + 5 for text in (frame_id, *content.names)]
     parts = [(size, 4, fixed) for size in (texts[0], 4, *texts[1:])]
     for field in FIELDS:
         parts.append((4, 4, fixed))

@@ -30,9 +30,8 @@ from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 
 _LAST_NS: Final = 2**31 * NANOSECONDS  # stamps of ROS end there
-_LARGEST: Final = (
-    1e9  # rad, rad/s, Nm or A: beyond any joint, while a damaged number may be as large
-)
+# rad, rad/s, Nm or A: beyond any joint, while a damaged number may be as large
+_LARGEST: Final = 1e9
 _NUMBER_BYTES = 8
 _LOOKED_AT = 200  # lines, by which delimiter, decimal sign and header are found out
 _TOLD = 20  # corrupt lines
@@ -369,9 +368,8 @@ def _stamp_ns(cell: str, decimal: str, unit_ns: int) -> int:
     stamp: Decimal | int = -1
     if re.fullmatch(r"[0-9.,eE+-]+", cell):
         with suppress(DecimalException):
-            stamp = (
-                Decimal(cell.replace(decimal, ".")) * unit_ns
-            )  # floating point spoils ns of the wall clock
+            # floating point spoils ns of the wall clock
+            stamp = Decimal(cell.replace(decimal, ".")) * unit_ns
     elif re.match(r"\d{4}-\d", cell):
         for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):
             with suppress(pa.ArrowInvalid):

@@ -19,9 +19,8 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.cdr_stamps import ENCAPSULATION, STAMP_BYTES, cdr_stamps_ns
 
 _HOLD_NS = 500_000_000  # of simulated time; far above the differences between topics
-_RESEND_NS = (
-    1_000_000_000  # of the wall clock; a lost message delays its topic by several heartbeats
-)
+# of the wall clock; a lost message delays its topic by several heartbeats
+_RESEND_NS = 1_000_000_000
 _OTHER_CLOCK_NS = 86_400 * NANOSECONDS
 """A stamp this far from the newest one belongs to another clock: wall-clock time among simulated times, for example."""
 
@@ -170,9 +169,8 @@ class LogOrder:
         for rows in np.split(np.arange(len(stamps)), set_backs):
             first = int(stamps[rows[0]])
             if first < self._stamps.get(topic, first):
-                if (
-                    self._ahead[topic] == self._newest_ahead
-                ):  # other topics follow, each with its own next message
+                # other topics follow, each with its own next message
+                if self._ahead[topic] == self._newest_ahead:
                     self.set_backs.append((self._newest - self._newest_ahead, first))
                     self._newest_ahead = self._newest + 1 - first
                 self._ahead[topic] = self._newest_ahead

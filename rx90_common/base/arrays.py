@@ -37,3 +37,8 @@ def array_digest(*arrays: NDArray[Any] | None) -> str:
             b"none" if array is None else repr(array.shape).encode() + (array + 0).tobytes()
         )
     return digest.hexdigest()[:32]
+
+
+def vectors(size: int, *names: str) -> list[tuple[str, type[np.float64], tuple[int]]]:
+    """Return the fields of a structured type that are vectors of numbers, shape (size,)."""
+    return [(name, np.float64, (size,)) for name in names]

@@ -399,9 +399,8 @@ def fault_lines(
         ):
             lines.insert(0, _unknown_key(_where(where, (*place[:-1], odd)), str(place[-1]), around))
         elif not any(inner != place and inner[: len(place)] == place for _, inner in faults):
-            lines.append(
-                _line(schema, fault, place, where, content)
-            )  # else of several kinds of value another is meant
+            # else of several kinds of value another is meant
+            lines.append(_line(schema, fault, place, where, content))
     lines = list(dict.fromkeys(lines))  # two kinds of a union, or both signs, say the same
     if len(every) > _MAX_FAULTS:
         lines.append(

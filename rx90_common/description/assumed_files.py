@@ -27,9 +27,8 @@ _TORQUE_CONSTANT = 0.1  # Nm/A
 _BRAKE_HZ = 50.0
 _STOP_HZ = 10.0
 _HALF_CRITICAL = 0.5
-_FASTEST = (
-    1000.0  # 1/s, of all velocity loops together in the arm's lightest pose; the observer has 2500
-)
+# 1/s, of all velocity loops together in the arm's lightest pose; the observer has 2500
+_FASTEST = 1000.0
 _HIGHEST_KV = 400.0  # 1/s
 FULL_SPEED_TIME: Final = 0.5
 """Time, s, in which a joint reaches its speed limit with the default acceleration."""

@@ -126,9 +126,8 @@ def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
         root = read_urdf(urdf, "utf-8")
         with _caught_stderr(lines):
             model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
-        if any(
-            line.startswith("Error:") for line in lines
-        ):  # an inertial that cannot be read is left out
+        # an inertial that cannot be read is left out
+        if any(line.startswith("Error:") for line in lines):
             raise ValueError
         _check_numbers(urdf, root)
         return model, root

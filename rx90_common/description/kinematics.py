@@ -186,9 +186,8 @@ def tip_position(chain: RigidChain, q: Array) -> Array:
     `kinematics.forward` without the rotations: the point is carried from the tip to the base, which costs an eighth of
     the time.
     """
-    angles = np.ascontiguousarray(
-        q.T
-    )  # in columns a row for each coordinate: half the time of rows
+    # in columns a row for each coordinate: half the time of rows
+    angles = np.ascontiguousarray(q.T)
     sine, cosine = sines_cosines(angles)  # compiled: a twentieth of NumPy's time
     point = np.broadcast_to(chain.tcp_position[:, None], (3, len(q)))
     for i in range(len(chain.axis) - 1, -1, -1):

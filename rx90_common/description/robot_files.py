@@ -65,10 +65,8 @@ def robot_folder(name: str) -> Path:
     try:
         own = Path(name).expanduser()
         there = own.is_dir() and bool(name)
-    except (
-        OSError,
-        RuntimeError,
-    ):  # a name longer than the system takes, a home folder that there is not
+    # a name longer than the system takes, a home folder that there is not
+    except (OSError, RuntimeError):
         there = False
     if there:
         if not any((own / file).is_file() for file in FILES.values()):

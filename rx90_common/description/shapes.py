@@ -62,10 +62,8 @@ def drawn_shapes(robot: RobotModel) -> list[VisualShape]:
     """
     try:
         return visual_shapes(robot) or _rods(robot)
-    except (
-        ConfigError,
-        ValueError,
-    ):  # the latter of Pinocchio, for files of meshes that are not there
+    # the latter of Pinocchio, for files of meshes that are not there
+    except (ConfigError, ValueError):
         return _rods(robot)
 
 

@@ -342,9 +342,8 @@ class UrdfFile:
         for name in self.links:
             body = bodies.get(name)
             carried = [j for j in self._path(name, self._parent_joint) if j in chain][-1:]
-            if (
-                body is not None and carried
-            ):  # a fixed link may have any inertia, and in many files has
+            # a fixed link may have any inertia, and in many files has
+            if body is not None and carried:
                 fault = None if self._replaced else inertia_fault(body.inertia)
                 if fault is not None:
                     text = " ".join(

@@ -122,8 +122,6 @@ def choose(
     parts: Sequence[Part],
     laws: Sequence[Law],
     progress: Callable[[str], None] = lambda _: None,
-    *,
-    everywhere: bool = False,
 ) -> Choice:
     """Choose the parts of each element's law.
 
@@ -132,7 +130,6 @@ def choose(
         parts: to try.
         laws: that each element has at least, such as Coulomb and viscous friction.
         progress: called with the names of the parts before each trial.
-        everywhere: whether a bristle is tried where no rise was found, too.
     """
     candidates: dict[Parts, _Fitted] = {}
     weight = None
@@ -156,9 +153,7 @@ def choose(
                 trials.append(_trial(rows, number, part, candidates[_less(best, part)], richer))
     choice = Choice(tuple(chosen), fit_laws(rows, chosen, None, known), tuple(trials))
     choice = without_bound_parts(rows, choice)
-    tried = [
-        number for number, law in enumerate(choice.laws) if everywhere or Part.STRIBECK in law.parts
-    ]
+    tried = [number for number, law in enumerate(choice.laws) if Part.STRIBECK in law.parts]
     if Part.BRISTLE not in parts or not tried:
         return choice
     progress(Part.BRISTLE.value)

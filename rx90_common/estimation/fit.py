@@ -197,9 +197,8 @@ class Projected:
         matrix, self._prior_target = problem.prior_rows
         self._columns = np.vstack([problem.linear * self._root[:, None], matrix])
         self._basis = independent_basis(self._columns)
-        self._kept = lru_cache(1)(
-            self._at
-        )  # residuals and derivatives are asked for at the same values
+        # residuals and derivatives are asked for at the same values
+        self._kept = lru_cache(1)(self._at)
 
     def residual(self, x: Array) -> Array:
         """Return the residuals' components along the derivatives and their length across, shape (q + 1,).
@@ -327,9 +326,8 @@ def _at_bound(problem: Problem, x: Array, residual: Array, jacobian: Array) -> M
     """Return which parameters a bound holds: they are there, or a Gauss-Newton step of those that are not passes it."""
     size = _lengths(jacobian)
     width = problem.upper - problem.lower
-    share = (
-        NEAR_BOUND * float(np.linalg.norm(residual)) / size
-    )  # of a torque without an upper bound
+    # of a torque without an upper bound
+    share = NEAR_BOUND * float(np.linalg.norm(residual)) / size
     margin = np.where(np.isfinite(width), NEAR_BOUND * width, share)
     near = (x - problem.lower <= margin) | (problem.upper - x <= margin)
     free = ~near

@@ -40,9 +40,8 @@ _BLOCKING_WAITS = 50  # after a busy wait in vain, before the next one
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 _PROBE_TIMEOUT = 1.0  # s
 _LOOK = 1.0  # s between two looks at the graph
-_LOOKS = (
-    8  # in which others must be seen in a row: a process that was killed stays in the graph for 5 s
-)
+# in which others must be seen in a row: a process that was killed stays in the graph for 5 s
+_LOOKS = 8
 
 
 class Matches(NamedTuple):

@@ -49,9 +49,8 @@ from rx90_common.process.interrupts import end_with, stop_request
 _SPIN_SLICE = 0.2  # s
 _SWITCH_INTERVAL = 5e-4  # s
 _LAST_TICK_S = 5.0  # the longest wait for the end of a ticking thread
-_SHUTDOWN_S = (
-    25.0  # after which a node that does not end is cut off: the middleware may wait for ever
-)
+# after which a node that does not end is cut off: the middleware may wait for ever
+_SHUTDOWN_S = 25.0
 _ENTITIES = {  # what a configured node may have made, and the function that destroys it
     "publishers": "destroy_publisher",
     "subscriptions": "destroy_subscription",
@@ -167,9 +166,8 @@ def _spin(members: Sequence[TickingNode], services: int, cut_off: threading.Time
         for member, thread in zip(members, threads, strict=True):
             member.stop()
             thread.join(_LAST_TICK_S)
-            if (
-                thread.is_alive()
-            ):  # in the middleware, whose end would wait for this thread for ever
+            # in the middleware, whose end would wait for this thread for ever
+            if thread.is_alive():
                 end_with(FAILED)
         executor.shutdown()
         for node in nodes:

@@ -19,13 +19,11 @@ from rx90_common.exchange.cdr_stamps import cdr_stamp_ns
 from rx90_common.exchange.channel import TickChannel
 
 _SLICE = 0.05  # s, the longest blind wait: between slices requests and the graph are looked at
-_PATIENCE = (
-    1.0  # s of silence before it is announced and, with a peer there, the message is sent again
-)
+# s of silence before it is announced and, with a peer there, the message is sent again
+_PATIENCE = 1.0
 _OTHER_CLOCK_NS = 3600 * NANOSECONDS
-_FOREIGN_COUNT = (
-    3  # commands with other stamps in one wait that are no repetitions, nor from before a reset
-)
+# commands with other stamps in one wait that are no repetitions, nor from before a reset
+_FOREIGN_COUNT = 3
 _CONFLICTS = 3  # different commands for a stamp that make two controllers; a restart in mid-tick makes one at most
 
 

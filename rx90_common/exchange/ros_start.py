@@ -53,9 +53,8 @@ def prepare() -> None:
         if os.environ.get(_RANGE, "").upper() == "LOCALHOST" and not os.environ.get(
             "ROS_STATIC_PEERS"
         ):
-            os.environ[_RANGE] = (
-                "SYSTEM_DEFAULT"  # or rmw_fastrtps would add its own transports to the profile's
-            )
+            # or rmw_fastrtps would add its own transports to the profile's
+            os.environ[_RANGE] = "SYSTEM_DEFAULT"
             os.environ[_PROFILES] = str(config_path("dds/localhost.xml"))
         else:
             os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")

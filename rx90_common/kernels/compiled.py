@@ -58,9 +58,8 @@ class CompileLock:
 
     def take(self) -> None:
         """Wait until no other process compiles this kernel; without delay where no lock can be made."""
-        if (
-            self._descriptor is not None
-        ):  # the kernel is compiled again, for arguments that are literals
+        # the kernel is compiled again, for arguments that are literals
+        if self._descriptor is not None:
             return
         try:
             descriptor = os.open(self._file, os.O_CREAT | os.O_RDWR, 0o666)
@@ -233,9 +232,8 @@ class _Watch(Listener):
 
     def on_end(self, event: Event) -> None:
         cache = event.data["dispatcher"]._cache
-        if sys.exc_info()[0] is not None and isinstance(
-            cache, KernelCache
-        ):  # the event reports no failure
+        # the event reports no failure
+        if sys.exc_info()[0] is not None and isinstance(cache, KernelCache):
             cache.give_up()
 
 

@@ -237,9 +237,8 @@ def load(_: Any, array: Any, width: Any) -> Any:
         for offset, size in _pieces(kind.width):
             place = _place(context, builder, arguments[0], signature.args[0], offset, size)
             piece = builder.load(place, align=8)
-            if (
-                size == 1
-            ):  # no vector of one: LLVM 20's optimiser fails an assertion of its own with them
+            # no vector of one: LLVM 20's optimiser fails an assertion of its own with them
+            if size == 1:
                 total = builder.insert_element(total, piece, _INDEX(offset))
                 continue
             spread = _shuffle(builder, piece, piece, [min(i, size - 1) for i in range(kind.padded)])

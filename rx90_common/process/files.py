@@ -83,9 +83,8 @@ def atomic_files(*files: Path) -> Iterator[list[Path]]:
                 place = target = current.resolve()
                 if current.is_file() or current.is_dir() or not current.exists():
                     if target.exists():
-                        with target.open(
-                            "ab"
-                        ):  # a file that may not be written may not be replaced either
+                        # a file that may not be written may not be replaced either
+                        with target.open("ab"):
                             pass
                     place = folders.enter_context(hidden_folder(target)) / target.name
                 places.append((place, target))
@@ -95,9 +94,8 @@ def atomic_files(*files: Path) -> Iterator[list[Path]]:
                 for file, (place, target) in zip(files, places, strict=True):
                     current = file
                     if place != target:
-                        with suppress(
-                            OSError
-                        ):  # there is none before, or it belongs to somebody else
+                        # there is none before, or it belongs to somebody else
+                        with suppress(OSError):
                             shutil.copymode(target, place)
                         place.replace(target)
     except OSError as error:
@@ -155,9 +153,8 @@ def check_output() -> None:
         encoding=before.encoding,
         # A locale without the character must not end the command.
         errors=before.errors if before.encoding.lower() == "utf-8" else "backslashreplace",
-        line_buffering=bool(
-            before.line_buffering or getattr(before, "write_through", False)
-        ),  # python -u
+        # python -u
+        line_buffering=bool(before.line_buffering or getattr(before, "write_through", False)),
     )
 
 

@@ -76,9 +76,8 @@ class StopRequest:
 
     def __init__(self) -> None:
         self._is_set = False
-        self._woken: SimpleQueue[None] = (
-            SimpleQueue()
-        )  # its `put` may interrupt its own `get` and `put`
+        # its `put` may interrupt its own `get` and `put`
+        self._woken: SimpleQueue[None] = SimpleQueue()
 
     def set(self) -> None:
         """Ask; a second time changes nothing."""
@@ -213,9 +212,8 @@ def ends_within(
         yield start
     finally:
         if interrupted.is_set():
-            end_with(
-                INTERRUPTED
-            )  # a compiler in another thread may crash when the interpreter ends in order
+            # a compiler in another thread may crash when the interpreter ends in order
+            end_with(INTERRUPTED)
         else:
             signal.set_wakeup_fd(before)
             os.close(writer)  # the thread reads the end

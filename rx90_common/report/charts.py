@@ -160,9 +160,8 @@ def thin(figures: Sequence[figure]) -> int:
         y = source.data[renderer.glyph.y]
         longest = max(longest, len(x))
         if len(x) > most:
-            with np.errstate(
-                divide="ignore", invalid="ignore"
-            ):  # values without a logarithm are no points
+            # values without a logarithm are no points
+            with np.errstate(divide="ignore", invalid="ignore"):
                 rows = few_points(
                     np.log10(x) if logarithmic_x else x, np.log10(y) if logarithmic_y else y, most
                 )

@@ -27,9 +27,8 @@ def few_points(x: Array, y: Array, most: int) -> Index:
     low = x[known].min()
     width = (x[known].max() - low) / (most // 4)
     place = np.where(known, x - low, 0.0) / (width or 1.0)
-    column = np.where(
-        known, place.astype(np.int32), -1
-    )  # a gap is a column of its own, whose ends are kept
+    # a gap is a column of its own, whose ends are kept
+    column = np.where(known, place.astype(np.int32), -1)
     run = np.cumsum(np.diff(column, prepend=column[0]) != 0)
     starts = np.flatnonzero(np.diff(run, prepend=-1))
     ends = np.append(starts[1:], len(x)) - 1

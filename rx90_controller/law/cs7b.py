@@ -3,7 +3,7 @@
 The law is SISO servo controllers, one for each motor, as in section 5 and figure 4 of the paper. Blocks of the paper:
 PI on the position error and FF from the set-points at the position rate, D on the measured velocity and C, the current
 loop with its amplifier, at the base rate. All quantities are on the motor side, because each controller serves one
-motor. The formulas are for one motor or for lanes of them. The drives' supervision compares following errors and speeds
+motor. Motors are lanes. The drives' supervision compares following errors and speeds
 of the joints with their limits.
 """
 
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.base.arrays import Array, Record
+from rx90_common.base.arrays import Array, Record, vectors
 from rx90_common.base.rates import Rates
 from rx90_common.description.coupling import (
     ArmSize,
@@ -50,30 +50,22 @@ def law_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     n = arm.joints
     return np.dtype(
         [
-            (
-                "reference",
-                np.float64,
-                (3, n),
-            ),  # motor-side position, velocity, acceleration set-points
-            ("offset", np.float64, (n,)),  # of the position set-point, motor side, rad; workspace
-            ("error", np.float64, (n,)),  # position error at the last position tick
-            ("velocity_error", np.float64, (n,)),
-            ("integrator", np.float64, (n,)),
-            ("position_torque", np.float64, (n,)),  # PI block, held between position ticks
-            ("feed_forward", np.float64, (n,)),  # FF block, held between position ticks
-            (
-                "commanded",
-                np.float64,
-                (n,),
-            ),  # current commanded to the amplifier, within its limit, A
-            ("current", np.float64, (n,)),
-            ("command", np.float64, (n,)),  # torque constant times current
-            (
-                "limited",
-                np.float64,
-                (n,),
-            ),  # sign of the amplifier's saturation in the last tick, 0 if none
-            ("saturated", np.float64, (n,)),  # ticks in saturation
+            # motor-side position, velocity, acceleration set-points
+            ("reference", np.float64, (3, n)),
+            *vectors(
+                n,
+                "offset",  # of the position set-point, motor side, rad; workspace
+                "error",  # position error at the last position tick
+                "velocity_error",
+                "integrator",
+                "position_torque",  # PI block, held between position ticks
+                "feed_forward",  # FF block, held between position ticks
+                "commanded",  # current commanded to the amplifier, within its limit, A
+                "current",
+                "command",  # torque constant times current
+                "limited",  # sign of the amplifier's saturation in the last tick, 0 if none
+                "saturated",  # ticks in saturation
+            ),
             ("model", model_state_dtype(arm)),
         ],
         align=True,
@@ -84,66 +76,6 @@ def law_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
 def clip(x: Lanes, bound: Lanes) -> Lanes:
     """Return x limited to +-bound; NaN stays NaN."""
     return select(x > bound, bound, select(x < -bound, -bound, x))
-
-
-@inlined
-def position_servo(
-    law: Any,
-    width: int,
-    position_setpoint: Lanes,
-    velocity_setpoint: Lanes,
-    acceleration_setpoint: Lanes,
-    position: Lanes,
-    integrator: Lanes,
-    limited: Lanes,
-) -> tuple[Lanes, Lanes, Lanes, Lanes]:
-    """Return position error, integrator, torque of PI and torque of FF of one position tick.
-
-    `width` lanes of the law's constants are used, a literal; `limited` is the sign of the last tick's saturation.
-    """
-    error = position_setpoint - position
-    # Anti-windup: no integration further into the amplifier's saturation.
-    advanced = clip(
-        integrator + load(law.integral, width) * error, load(law.integrator_limit, width)
-    )
-    integrator = select(error * limited <= 0.0, advanced, integrator)
-    # The sign function, made continuous: a set-point that crosses zero must not switch the torque back and forth.
-    sign = clip(velocity_setpoint / load(law.coulomb_velocity, width), 1.0)
-    viscous = load(law.viscous, width) * signed_power(
-        velocity_setpoint, load(law.viscous_exponent, width)
-    )
-    feed_forward = (
-        load(law.inertia, width) * acceleration_setpoint + load(law.coulomb, width) * sign + viscous
-    )
-    return error, integrator, load(law.proportional, width) * error + integrator, feed_forward
-
-
-@inlined
-def velocity_servo(
-    law: Any,
-    width: int,
-    current_gain: Lanes,
-    position_torque: Lanes,
-    feed_forward: Lanes,
-    velocity_setpoint: Lanes,
-    velocity: Lanes,
-    current: Lanes,
-) -> tuple[Lanes, Lanes, Lanes, Lanes]:
-    """Return commanded current, motor current, torque and sign of the saturation of one base tick.
-
-    D's damping, the amplifier's limit, and C, the current loop of first order with limited slew.
-    """
-    damping = load(law.derivative, width) * (
-        load(law.velocity_weight, width) * velocity_setpoint - velocity
-    )
-    peak = load(law.peak_current, width)
-    constant = load(law.torque_constant, width)
-    requested = (position_torque + feed_forward + damping) / constant
-    limited = select(requested > peak, 1.0, select(requested < -peak, -1.0, 0.0 * requested))
-    commanded = clip(requested, peak)
-    change = current_gain * (commanded - current)
-    current = current + clip(change, load(law.current_step, width))
-    return commanded, current, constant * current, limited
 
 
 @inlined
@@ -208,25 +140,24 @@ def position_loop(
     if setpoint.shape[0] > 3:
         to_motor(law.gear, setpoint[3], state.offset)
         offset = load(state.offset, n)
-        requested = select(
-            offset == 0.0, requested, requested + offset
-        )  # none leaves the bits, also those of -0
-    error, integrator, position_torque, feed_forward = position_servo(
-        law,
-        n,
-        requested,
-        load(state.reference[1], n),
-        load(state.reference[2], n),
-        load(position, n),
-        load(state.integrator, n),
-        load(state.limited, n),
-    )
+        # none leaves the bits, also those of -0
+        requested = select(offset == 0.0, requested, requested + offset)
+    error = requested - load(position, n)
+    integrator = load(state.integrator, n)
+    # Anti-windup: no integration further into the amplifier's saturation.
+    advanced = clip(integrator + load(law.integral, n) * error, load(law.integrator_limit, n))
+    integrator = select(error * load(state.limited, n) <= 0.0, advanced, integrator)
+    speed = load(state.reference[1], n)
+    # The sign function, made continuous: a set-point that crosses zero must not switch the torque back and forth.
+    sign = clip(speed / load(law.coulomb_velocity, n), 1.0)
+    viscous = load(law.viscous, n) * signed_power(speed, load(law.viscous_exponent, n))
+    inertial = load(law.inertia, n) * load(state.reference[2], n)
     measured = load(velocity, n)
     store(state.error, error)
-    store(state.velocity_error, load(state.reference[1], n) - measured)
+    store(state.velocity_error, speed - measured)
     store(state.integrator, integrator)
-    store(state.position_torque, position_torque)
-    store(state.feed_forward, feed_forward)
+    store(state.position_torque, load(law.proportional, n) * error + integrator)
+    store(state.feed_forward, inertial + load(law.coulomb, n) * sign + viscous)
     if law.model.parts != 0:
         add_model_torque(law, state, setpoint)
     if other_parts:
@@ -237,6 +168,8 @@ def position_loop(
 @kernel
 def velocity_loop(laws: Record, states: Record, velocity: Array) -> bool:
     """Run D and C for one base tick and write `command`, motor torques in Nm, into the state.
+
+    D's damping, the amplifier's limit, and C, the current loop of first order with limited slew.
 
     Args:
         laws: constants, shape (1,), of `controller_dtype`.
@@ -249,16 +182,16 @@ def velocity_loop(laws: Record, states: Record, velocity: Array) -> bool:
     law = laws[0]
     state = states[0]
     n = size(state.current)
-    commanded, current, command, limited = velocity_servo(
-        law,
-        n,
-        law.current_gain,
-        load(state.position_torque, n),
-        load(state.feed_forward, n),
-        load(state.reference[1], n),
-        load(velocity, n),
-        load(state.current, n),
-    )
+    weighted = load(law.velocity_weight, n) * load(state.reference[1], n)
+    damping = load(law.derivative, n) * (weighted - load(velocity, n))
+    peak = load(law.peak_current, n)
+    constant = load(law.torque_constant, n)
+    requested = (load(state.position_torque, n) + load(state.feed_forward, n) + damping) / constant
+    limited = select(requested > peak, 1.0, select(requested < -peak, -1.0, 0.0 * requested))
+    commanded = clip(requested, peak)
+    current = load(state.current, n)
+    current = current + clip(law.current_gain * (commanded - current), load(law.current_step, n))
+    command = constant * current
     store(state.commanded, commanded)
     store(state.current, current)
     store(state.command, command)

@@ -32,7 +32,7 @@ from rx90_common.arm_dynamics import (
     manipulator_dtype,
     manipulator_record,
 )
-from rx90_common.base.arrays import Array, Record
+from rx90_common.base.arrays import Array, Record, vectors
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import FileModel
 from rx90_common.base.quoting import plain, quoted
@@ -97,30 +97,20 @@ def model_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     friction = [
         ("z", np.float64, (e,)),  # deflections of the bristles, rad
         ("parts", parts_state_dtype(e)),
-        (
-            "warm",
-            np.int64,
-        ),  # whether the temperatures have been computed, or are those of the start
+        # whether the temperatures have been computed, or are those of the start
+        ("warm", np.int64),
         # Workspace.
-        ("joint", np.float64, (n,)),
-        ("motor", np.float64, (n,)),
+        *vectors(n, "joint", "motor"),
     ]
     return np.dtype(
         [
             ("parts", np.int64),  # of the last position tick
             ("friction", np.dtype(friction, align=True)),
-            (
-                "before",
-                np.float64,
-                (n,),
-            ),  # motor side, Nm: the feed-forward before the parts changed
+            # motor side, Nm: the feed-forward before the parts changed
+            ("before", np.float64, (n)),
             # Workspace.
             ("body", body_dtype(n)),
-            ("q", np.float64, (n,)),
-            ("v", np.float64, (n,)),
-            ("a", np.float64, (n,)),
-            ("joint", np.float64, (n,)),
-            ("motor", np.float64, (n,)),
+            *vectors(n, "q", "v", "a", "joint", "motor"),
         ],
         align=True,
     )
@@ -184,23 +174,22 @@ class ModelFiles(FileModel):
         Args:
             controller: the controller file that names them.
         """
-        found: dict[str, str] = {}
+        found: dict[str, Path | str] = {role: controller.parent / FILES[role] for role in ROLES}
+        if not (controller.parent / FILES["tool"]).is_file():
+            found["tool"] = NO_TOOL
         for role in ROLES:
             name = getattr(self, role)
-            path = controller.parent / FILES[role]
-            if role == "tool" and (name == NO_TOOL or (name is None and not path.is_file())):
+            if role == "tool" and name == NO_TOOL:
                 found[role] = NO_TOOL
-                continue
-            if name is not None:
+            elif name is not None:
                 try:  # the same file from whatever folder a program is started
-                    path = resolve_config(name, controller.parent)
+                    found[role] = resolve_config(name, controller.parent)
                 except ConfigError:
                     accepted = "a path from this file's folder or from config/, or an absolute one"
                     raise ConfigError(
                         f"{plain(controller)}: model.{role} is {quoted(name)}; accepted: a {DESCRIPTIONS[role]}: "
                         f"{accepted}"
                     ) from None
-            found[role] = str(path)
         return ModelFiles.model_validate(found)
 
     def path(self, role: str) -> Path | None:
@@ -211,16 +200,13 @@ class ModelFiles(FileModel):
     @cached_property
     def constants(self) -> ArmModel:
         """Return the contents, read once."""
-        paths: dict[str, Path] = {}
-        for role in ROLES:
-            path = self.path(role)
-            if path is not None and not path.is_file():
+        paths = {role: path for role in ROLES if (path := self.path(role)) is not None}
+        for role, path in paths.items():
+            if not path.is_file():
                 raise ConfigError(
                     f"the feed-forward by a model needs {plain(path)}, which is not there; accepted: {FILES[role]} "
                     f"beside the controller file, or model.{role} in it"
                 )
-            if path is not None:
-                paths[role] = path
         robot = load_robot(paths["urdf"], paths.get("tool"))
         drives = load_drives(paths["drives"])
         robot.check_count(paths["drives"], "gear", drives.gear)

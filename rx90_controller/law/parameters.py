@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final, TypeAlias
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, vectors
 from rx90_common.base.errors import ConfigError, located
 from rx90_common.base.models import FileModel, Positive, RowOf, check_counts, quantity, read_model
 from rx90_common.base.quoting import plain
@@ -32,38 +32,28 @@ def controller_dtype(arm: ArmSize) -> np.dtype[np.void]:
     return np.dtype(
         [
             gear_field("gear", arm),
-            ("proportional", np.float64, (n,)),  # motor side, Nm/rad
-            ("integral", np.float64, (n,)),  # motor side, Nm/rad per position tick
-            ("integrator_limit", np.float64, (n,)),  # motor side, Nm
-            ("derivative", np.float64, (n,)),  # motor side, Nm s/rad
-            (
-                "inertia",
-                np.float64,
-                (n,),
-            ),  # motor side, kg m^2; 0 where acceleration feed-forward is off
-            (
-                "velocity_weight",
-                np.float64,
-                (n,),
-            ),  # of the velocity set-point in D; 0 where it is off
-            ("coulomb", np.float64, (n,)),  # motor side, Nm; 0 where the compensation is off
-            ("coulomb_velocity", np.float64, (n,)),  # motor side, rad/s
-            (
-                "viscous",
-                np.float64,
-                (n,),
-            ),  # motor side, Nm (s/rad)^exponent; 0 where the compensation is off
-            ("torque_constant", np.float64, (n,)),
-            ("peak_current", np.float64, (n,)),
-            (
-                "current_step",
-                np.float64,
-                (n,),
-            ),  # largest change of the amplifier's current in a tick, A
+            *vectors(
+                n,
+                "proportional",  # motor side, Nm/rad
+                "integral",  # motor side, Nm/rad per position tick
+                "integrator_limit",  # motor side, Nm
+                "derivative",  # motor side, Nm s/rad
+                "inertia",  # motor side, kg m^2; 0 where acceleration feed-forward is off
+                "velocity_weight",  # of the velocity set-point in D; 0 where it is off
+                "coulomb",  # motor side, Nm; 0 where the compensation is off
+                "coulomb_velocity",  # motor side, rad/s
+                "viscous",  # motor side, Nm (s/rad)^exponent; 0 where the compensation is off
+                "torque_constant",
+                "peak_current",
+                "current_step",  # largest change of the amplifier's current in a tick, A
+            ),
             ("current_gain", np.float64),  # of the current loop per tick
-            ("following_error", np.float64, (n,)),  # supervised, motor side, rad
-            ("over_speed", np.float64, (n,)),  # supervised, motor side, rad/s
-            ("viscous_exponent", np.float64, (n,)),
+            *vectors(
+                n,
+                "following_error",  # supervised, motor side, rad
+                "over_speed",  # supervised, motor side, rad/s
+                "viscous_exponent",
+            ),
             ("model", model_dtype(arm)),  # feed-forward by a model of arm and friction
         ],
         align=True,

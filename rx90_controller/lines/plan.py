@@ -13,9 +13,8 @@ The joint-space image of a line, with exact derivatives, is examined against the
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from rx90_common.description.robot import RobotModel
 from rx90_common.description.rotations import length
 from rx90_controller.lines.postures import Postures
 from rx90_controller.lines.task import TipTask
+from rx90_controller.paths.path import Path
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
 
@@ -42,21 +42,6 @@ _MAX_JUMP = 0.05
 # A joint that turns less than this over the whole line, rad, is held still: the rounding of the inverse kinematics
 # would otherwise reach the friction compensation as a velocity of changing sign.
 _STILL = 1e-10
-
-
-@runtime_checkable
-class Slowable(TipTask, Protocol):
-    """A path that can be travelled more slowly in places, as `rx90_controller.paths.path.Path`."""
-
-    def within_limits(  # noqa: D102
-        self,
-        names: Sequence[str],
-        distance: Array,
-        slope: Array,
-        bend: Array,
-        velocity: Array,
-        most: Array,
-    ) -> TipTask: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,14 +73,13 @@ class JointPath:
         """Return joint angles (k, n) in rad, and their first and second derivative in rad/m and rad/m²."""
         q = self.postures.between(distance, self.distance, self.angles)
         slope, bend = self.postures.derivatives(distance, q)
-        still = np.ptp(self.angles, axis=0) == 0.0
-        values = (
-            np.where(still, self.angles[0], q),
-            np.where(still, 0.0, slope),
-            np.where(still, 0.0, bend),
+        joints = len(self.robot.joint_names)
+        still = np.ptp(self.position, axis=0) == 0.0
+        return (
+            np.where(still, self.position[0], q[:, :joints]),
+            np.where(still, 0.0, slope[:, :joints]),
+            np.where(still, 0.0, bend[:, :joints]),
         )
-        angle, first, second = (value[:, : len(self.robot.joint_names)] for value in values)
-        return angle, first, second
 
 
 def _follow(postures: Postures, distance: Array) -> tuple[Array, str]:
@@ -117,6 +101,7 @@ def _joint_path(robot: RobotModel, task: TipTask, acceleration: Array | None) ->
     Raises:
         LineError: naming place, joint or singularity, value and limit.
     """
+    joints = len(robot.joint_names)
     distance = task.places(_EXAMINED_STEP, _MIN_EXAMINED)
     # the first reason, by the place
     postures = Postures.of(robot, task)
@@ -138,24 +123,26 @@ def _joint_path(robot: RobotModel, task: TipTask, acceleration: Array | None) ->
                 at, f"{kind} singularity, margin {values[at]:.4f}; accepted: {accepted}"
             )
     q = q[: min(faults, default=len(q))]
-    slope, _ = postures.derivatives(distance[: len(q)], q)
+    slope, bend = postures.derivatives(distance[: len(q)], q)
     gap = np.abs(
         np.diff(q, axis=0) - 0.5 * (slope[1:] + slope[:-1]) * np.diff(distance[: len(q)])[:, None]
     )
-    jumps = np.argwhere(gap[:, : len(robot.joint_names)] > _MAX_JUMP)
+    jumps = np.argwhere(gap[:, :joints] > _MAX_JUMP)
     if jumps.size:
         k, j = jumps[0].tolist()
         jump = q[k + 1, j] - q[k, j]
         faults[k + 1] = (
             f"{robot.joint_names[j]} jumps by {jump:.3f} rad to another branch; accepted: no jump"
         )
-    if not faults and isinstance(task, Slowable):
-        limit = np.full(len(robot.joint_names), np.inf) if acceleration is None else acceleration
-        slopes, bends = (
-            each[:, : len(robot.joint_names)] for each in postures.derivatives(distance, q)
-        )
+    if not faults and isinstance(task, Path):
+        limit = np.full(joints, np.inf) if acceleration is None else acceleration
         task = task.within_limits(
-            robot.joint_names, distance, slopes, bends, robot.max_velocity, limit
+            robot.joint_names,
+            distance,
+            slope[:, :joints],
+            bend[:, :joints],
+            robot.max_velocity,
+            limit,
         )
         postures = replace(postures, task=task)
     elif not faults:

@@ -209,12 +209,8 @@ class Postures:
             rows = [
                 self.least_speed.derivatives(*row) for row in zip(q, twist, change, strict=True)
             ]
-            slopes, bends = (
-                (np.array(each).reshape(q.shape) for each in zip(*rows, strict=True))
-                if rows
-                else (q, q)
-            )
-            return slopes, bends
+            both = np.array(rows).reshape(len(q), 2, q.shape[1])
+            return both[:, 0], both[:, 1]
         chain = self.robot.chain
         j = jacobian(chain, q)
         slope = solved(j, twist)
@@ -228,18 +224,14 @@ class Postures:
         if self.closed_form is not None:
             return nearest_turn(self.closed_form.solve(chain, poses, self.task.branch), near)
         if self.least_speed is not None:
-            near = interpolate(known, angles, *self.derivatives(known, angles)).sample(distance)[
-                :, 0
-            ]
-            found = [
-                self.least_speed.put_right(guess, Pose(*pose))
-                for *pose, guess in zip(*poses, near, strict=True)
-            ]
-        else:
-            found = [
-                solve_near(chain, Pose(*pose), guess)
-                for *pose, guess in zip(*poses, near, strict=True)
-            ]
+            known_motion = interpolate(known, angles, *self.derivatives(known, angles))
+            near = known_motion.sample(distance)[:, 0]
+        found = [
+            solve_near(chain, Pose(*pose), guess)
+            if self.least_speed is None
+            else self.least_speed.put_right(guess, Pose(*pose))
+            for *pose, guess in zip(*poses, near, strict=True)
+        ]
         return np.array([np.full(near.shape[1], np.nan) if row is None else row for row in found])
 
 

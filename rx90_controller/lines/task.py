@@ -238,22 +238,16 @@ class TipTask(Protocol):
 
     what: ClassVar[str]
 
+    rest_before: float
+    rest_after: float
+    speed: float
+    acceleration: float
+    branch: Branch
+    singularity_margin: float
+    start_posture: tuple[float, ...] | None
+
     @property
     def length(self) -> float: ...  # noqa: D102 - as LineTask's, all of them
-    @property
-    def rest_before(self) -> float: ...  # noqa: D102
-    @property
-    def rest_after(self) -> float: ...  # noqa: D102
-    @property
-    def speed(self) -> float: ...  # noqa: D102
-    @property
-    def acceleration(self) -> float: ...  # noqa: D102
-    @property
-    def branch(self) -> Branch: ...  # noqa: D102
-    @property
-    def singularity_margin(self) -> float: ...  # noqa: D102
-    @property
-    def start_posture(self) -> tuple[float, ...] | None: ...  # noqa: D102
     def profile(self) -> Profile: ...  # noqa: D102
     def corners(self) -> tuple[float, ...]: ...  # noqa: D102
     def places(self, step: float, least: int) -> Array: ...  # noqa: D102

@@ -44,9 +44,8 @@ from rx90_controller.trajectory.request import Feedback, State, TrajectoryReques
 
 _WATCH_PERIOD = 0.5  # s between two looks for the simulation, while there is a goal
 _SIMULATION_TIMEOUT = 2.0  # s without one, after which the goal is given up
-_RESULT_TIMEOUT = (
-    60.0  # s for which results are kept for clients that ask late; a goal may be large
-)
+# s for which results are kept for clients that ask late; a goal may be large
+_RESULT_TIMEOUT = 60.0
 _RESULT_GRACE = 2.0  # s in which the client of the last goal may ask for its result
 # turns of the executor in which a result is sent, and s of each at the most
 _FLUSH_SPINS = 10
@@ -54,9 +53,8 @@ _SPIN_TIMEOUT = 0.01
 _ENDS = "the controller ends"
 _POINT_ROWS = ((1, 1, 1, 0), (1, 1, 0, 0), (1, 1, 0, 0), (0, 0, 0, 1))
 """Which of positions, velocities, accelerations, efforts the state's reference, feedback, error and output have."""
-_OF_SEVERAL_AXES = (
-    4  # points of joints that the arm has not, of three empty sequences and a time each
-)
+# points of joints that the arm has not, of three empty sequences and a time each
+_OF_SEVERAL_AXES = 4
 
 
 class _Server(ActionServer):
@@ -114,9 +112,8 @@ class ClientInterfaces:
         self._goals: dict[bytes, TrajectoryRequest] = {}  # that may still be cancelled
         self._result_requested: set[bytes] = set()  # goals whose client has asked for the result
         self._checked: TrajectoryRequest | None = None  # the goal that is accepted next
-        self._checking = (
-            threading.Lock()
-        )  # an executor of several threads continues while the node ends
+        # an executor of several threads continues while the node ends
+        self._checking = threading.Lock()
         self._ending = False
         self._simulation_seen = time.monotonic()  # when the simulation was there
         qos = REQUEST_QOS

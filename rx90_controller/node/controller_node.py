@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
@@ -40,7 +40,7 @@ from rx90_common.exchange.endpoints import (
 )
 from rx90_common.exchange.lifecycle import Diagnostics, ManagedNode, started
 from rx90_common.exchange.pacing import Pacer
-from rx90_common.exchange.parameters import Effective, nested
+from rx90_common.exchange.parameters import nested
 from rx90_common.exchange.ros_start import missing_control_msgs, missing_controller_manager_msgs
 from rx90_common.exchange.topics import (
     COMMANDED_CORRECTION,
@@ -136,24 +136,29 @@ class Control:
         # The arrays are always the same, brought up to date by a call of the same method.
         codec = JointStateCodec(cs7b.joint_names)
         motors = JointStateCodec(motor)
-        self._every_tick = [
-            (topic("reference"), cs7b.reference, codec.encoder(*cs7b.reference())),
-            (topic("tracking_error"), cs7b.tracking_error, codec.encoder(*cs7b.tracking_error())),
+        update: Callable[[], object] = cs7b.details
+        details = zip(DETAILS, (codec, motors, motors), cs7b.details(), strict=True)
+        self._topics = [
+            (
+                topic(detail),
+                tick_ns * parameters.slow_topics_every_n_ticks,
+                update,
+                names.encoder(effort=values),
+            )
+            for detail, names, values in details
         ]
+        results = {"reference": cs7b.reference, "tracking_error": cs7b.tracking_error}
+        for result, update in results.items():
+            self._topics.append((topic(result), tick_ns, update, codec.encoder(*update())))
         self._offset = np.zeros(len(cs7b.joint_names))
         self._correction = topic(CORRECTION), codec.encoder(position=self._offset)
-        details = zip(DETAILS, (codec, motors, motors), cs7b.details(), strict=True)
-        self._details = [
-            (topic(each), names.encoder(effort=values)) for each, names, values in details
-        ]
-        self._detail_ns = tick_ns * parameters.slow_topics_every_n_ticks
         self._accepted = node.create_publisher(
             JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS
         )
         self.loop = loop = ServoLoop(cs7b, self, parameters.max_seconds_ahead, monitor_ticks)
         loop.post(TorqueSwitch(on=False, by_node=True))
         node.changes.allow(
-            _law_names(node),
+            _declared(node, LAW_BLOCKS),
             lambda values: law_of(of_file, values).record(robot, drives, rates),
             loop.change_law,
         )
@@ -185,8 +190,7 @@ class Control:
                 node, manager, loop, cs7b.joint_names, name, (rates.position_hz, rates.base_hz)
             )
         self.publishers: tuple[Publisher, ...] = (
-            *(row[0] for row in self._every_tick),
-            *(row[0] for row in self._details),
+            *(row[0] for row in self._topics),
             self._correction[0],
             self._accepted,
             *([] if self.clients is None else [self.clients.publisher]),
@@ -213,16 +217,8 @@ class Control:
         subscribe(
             node, JointTrajectory, _TRAJECTORY, loop.receive, TRAJECTORY_QOS, check_trajectory_bytes
         )
-        subscribe(
-            node, JointState, _SET_POINTS, partial(self._on_set_point, _SET_POINTS), TRAJECTORY_QOS
-        )
-        subscribe(
-            node,
-            Float64MultiArray,
-            _COMMANDS,
-            partial(self._on_set_point, _COMMANDS),
-            TRAJECTORY_QOS,
-        )
+        for kind, source in ((JointState, _SET_POINTS), (Float64MultiArray, _COMMANDS)):
+            subscribe(node, kind, source, partial(self._on_set_point, source), TRAJECTORY_QOS)
 
     # The ticking thread.
 
@@ -242,8 +238,8 @@ class Control:
     def publish(self, stamp_ns: int) -> None:
         """Publish the results of the position loop."""
         # What nobody listens to is not sent: a message costs the tick more than the law.
-        for publisher, update, encode in self._every_tick:
-            if publisher.get_subscription_count():
+        for publisher, every_ns, update, encode in self._topics:
+            if stamp_ns % every_ns == 0 and publisher.get_subscription_count():
                 update()
                 publisher.publish(encode(stamp_ns))
         offset = self._cs7b.offset
@@ -251,11 +247,6 @@ class Control:
         if offset is not None and offset.any() and publisher.get_subscription_count():
             self._offset[:] = offset
             publisher.publish(encode(stamp_ns))
-        if stamp_ns % self._detail_ns == 0:
-            self._cs7b.details()
-            for publisher, encode in self._details:
-                if publisher.get_subscription_count():
-                    publisher.publish(encode(stamp_ns))
         if self.clients is not None:
             self.clients.publish_state(stamp_ns)
 
@@ -463,28 +454,23 @@ def spin(args: Sequence[str]) -> None:
 def _allow_goal_changes(node: ManagedNode, names: Sequence[str], loop: ServoLoop) -> None:
     """Let options and tolerances be changed for the next goals and trajectories of an arm with these joints."""
 
-    def change_options(options: GoalOptions, effective: Effective) -> None:
-        effective(loop.change(options=options))
-
-    def change_tolerances(tolerances: GoalTolerances, effective: Effective) -> None:
-        effective(loop.change(tolerances=tolerances))
-
     def read_tolerances(values: Mapping[str, Any]) -> GoalTolerances:
         with refusals(Constraints):
             constraints = Constraints.model_validate(nested(values)["constraints"])
         return GoalTolerances.of_parameters(names, constraints)
 
     node.changes.allow(
-        tuple(GoalOptions.model_fields), lambda values: GoalOptions(**values), change_options
+        tuple(GoalOptions.model_fields),
+        lambda values: GoalOptions(**values),
+        lambda options, effective: effective(loop.change(options=options)),
     )
-    of_constraints = [
-        name for name in node.get_parameters_by_prefix("") if name.startswith("constraints.")
-    ]
-    node.changes.allow(of_constraints, read_tolerances, change_tolerances)
+    node.changes.allow(
+        _declared(node, ("constraints",)),
+        read_tolerances,
+        lambda tolerances, effective: effective(loop.change(tolerances=tolerances)),
+    )
 
 
-def _law_names(node: ManagedNode) -> list[str]:
-    """Return the names of the declared parameters of the law."""
-    return [
-        name for name in node.get_parameters_by_prefix("") if name.partition(".")[0] in LAW_BLOCKS
-    ]
+def _declared(node: ManagedNode, blocks: Sequence[str]) -> list[str]:
+    """Return the names of the declared parameters of some blocks."""
+    return [name for name in node.get_parameters_by_prefix("") if name.partition(".")[0] in blocks]

@@ -20,7 +20,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from rx90_common.base.errors import ExchangeError, MessageError
+from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS, Rates
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import TickChannel
@@ -34,9 +34,8 @@ _WAIT_SLICE = 0.1  # s of a wait for states; in free-running time also the time 
 _PATIENCE = 1.0  # s without a simulation, after which that is announced
 _MODE_PATIENCE = 5.0  # s with a simulation that does not announce its mode
 _MAX_LAG = 0.005  # s; up to here missed ticks are computed one by one, beyond it time is skipped
-_PHASE_ADVANCE = (
-    0.02  # of a period: by so much it wakes earlier each time, until it is there before the states
-)
+# of a period: by so much it wakes earlier each time, until it is there before the states
+_PHASE_ADVANCE = 0.02
 _BACKWARD = 3  # jumps back within _BACKWARD_WINDOW that make two simulations; a reset makes one
 _BACKWARD_WINDOW = 5.0  # s
 
@@ -94,9 +93,8 @@ class Serving:
         self._encode_no_torque = commands.encoder()
         self._complaints = ThrottledLog(complain)
         self._log = ThrottledLog(announce)
-        self._backward: deque[float] = deque(
-            maxlen=_BACKWARD
-        )  # times at which the stamps have gone back
+        # times at which the stamps have gone back
+        self._backward: deque[float] = deque(maxlen=_BACKWARD)
         self._two_simulations = False
         self.mode: str | None = None
         self._changed = threading.Event()  # the mode is known, or the end is near
@@ -105,17 +103,15 @@ class Serving:
         # In lock-step.
         self._wait = Wait(announce, "the simulation is there:")
         self._stamp: int | None = None
-        self._state: bytes | None = (
-            None  # as received; an empty message must not pass for a repetition
-        )
+        # as received; an empty message must not pass for a repetition
+        self._state: bytes | None = None
         self._command = b""
         self._last_message = time.monotonic()
         # In free-running time.
         self._lag_ns = max(round(_MAX_LAG * NANOSECONDS), 2 * self._slow_ns)
         self._next: int | None = None  # the stamp of the next tick, once the loops have begun
-        self._elsewhere: int | None = (
-            None  # a stamp that does not follow; the next one may go on from there
-        )
+        # a stamp that does not follow; the next one may go on from there
+        self._elsewhere: int | None = None
         self._prepared = self._resting = False
 
     def run(self) -> None:
@@ -168,9 +164,8 @@ class Serving:
                 return
             self._stamp = self._state = None
         if raw != self._state:
-            try:
-                states = self._decode(raw)
-            except MessageError:
+            states = self._decode(raw)
+            if states is None:
                 return
             stamp = states.stamp_ns
             if self._stamp is None or stamp != self._stamp + self._period_ns:
@@ -211,18 +206,14 @@ class Serving:
                     self._announce(f"no fresh states on {self._topic}: the loops rest")
                 return
             self._pacer.shift(period)
-        batch = deque(
-            [raw], maxlen=self._lag_ns // self._period_ns
-        )  # earlier ones are beyond the lag
+        # earlier ones are beyond the lag
+        batch = deque([raw], maxlen=self._lag_ns // self._period_ns)
         while (raw := channel.receive(0.0)) is not None:
             batch.append(raw)
         command = None
         for raw in batch:
-            try:
-                states = self._decode(raw)
-            except MessageError:
-                continue
-            if not self._follows(states):
+            states = self._decode(raw)
+            if states is None or not self._follows(states):
                 continue
             assert self._next is not None
             while self._next <= states.stamp_ns:
@@ -276,8 +267,8 @@ class Serving:
             self._announce(f"states on {self._topic} from {stamp / NANOSECONDS:.6g} s on")
         return True
 
-    def _decode(self, raw: bytes) -> MotorStates:
-        """Return the states in a message; MessageError if it has none, or those of a time between two ticks."""
+    def _decode(self, raw: bytes) -> MotorStates | None:
+        """Return the states in a message; None if it has none, or those of a time between two ticks."""
         try:
             stamp_ns, position, velocity, torque = self._spare.decode(raw)
             if position is None or velocity is None:
@@ -289,7 +280,7 @@ class Serving:
                 )
         except ExchangeError as error:
             self._complaints.say("states", f"{self._topic}: {error}; the message is ignored")
-            raise MessageError(str(error)) from error
+            return None
         self._codec, self._spare = self._spare, self._codec
         return MotorStates(stamp_ns, position, velocity, torque)
 

@@ -55,9 +55,8 @@ from rx90_controller.trajectory.request import (
 )
 from rx90_controller.trajectory.stream import SetPoints, from_trajectory
 
-_ATTEMPTS = (
-    3  # to join a long trajectory outside the ticks, each with more time than the one before
-)
+# to join a long trajectory outside the ticks, each with more time than the one before
+_ATTEMPTS = 3
 
 
 class ServoLoop:
@@ -93,9 +92,8 @@ class ServoLoop:
         self._cs7b = cs7b
         self._events: deque[Event] = deque()
         self._unpublished = False  # whether the position loop has left something
-        self._correction: tuple[str, Correction] | None = (
-            None  # for the trajectory of that identity
-        )
+        # for the trajectory of that identity
+        self._correction: tuple[str, Correction] | None = None
 
     # The thread that ticks.
 
@@ -129,9 +127,8 @@ class ServoLoop:
                 return True
             if fault.quantity == "torque":
                 self._unpublished = False  # torques that are no numbers
-            self._publish(
-                stamp_ns
-            )  # before the reset: the values that led to the fault must be visible
+            # before the reset: the values that led to the fault must be visible
+            self._publish(stamp_ns)
             self.state = self.state.answer(servo, Fault(fault, states.position))
             return False
 
@@ -227,7 +224,7 @@ class ServoLoop:
             if goal is not None:
                 self._check_goal(request, missing)
         except TrajectoryError as error:
-            self._refuse(kind, error)
+            self.servo.reject(kind, error)
             return None
         if request.remark:
             self.servo.complain(f"{kind}: {request.remark}")
@@ -303,7 +300,7 @@ class ServoLoop:
             points = points_from_message(self._cs7b.joint_names, message)
             correction = correction_from_points(points, self.servo.period)
         except TrajectoryError as error:
-            self._refuse("correction", error)
+            self.servo.reject("correction", error)
             return
         self._correction = (message.header.frame_id, correction)
 
@@ -327,10 +324,6 @@ class ServoLoop:
             )
         else:
             self.servo.note("the correction that waited belongs to another trajectory; dropped")
-
-    def _refuse(self, kind: str, error: TrajectoryError) -> None:
-        self.servo.count_refusal(kind, error)
-        self.servo.complain(f"{kind} rejected: {error}")
 
     def report(self) -> None:
         """Print, publish and send what has come up; called after each `Outputs.wake`."""

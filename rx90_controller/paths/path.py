@@ -47,13 +47,11 @@ _MAX_PARTS = 50
 _JUMP = 1e-3  # rad/m: a smaller change of the tool's turn by the distance is rounding
 _BLOCK = 5e-3  # m of the path that have one lowered speed, at least
 _BLOCKS = 40  # in a stretch of one speed, at most
-_SPEED_RESERVE = (
-    0.99  # of a joint's limit: the places between those that are looked at need a little more
-)
+# of a joint's limit: the places between those that are looked at need a little more
+_SPEED_RESERVE = 0.99
 _RESERVE = 0.9  # of a joint's acceleration: quintics round its steps, and overshoot
-_ACCELERATION_SHARE = (
-    0.5  # of a joint's limit for the path's own acceleration, where it is short of it
-)
+# of a joint's limit for the path's own acceleration, where it is short of it
+_ACCELERATION_SHARE = 0.5
 
 
 def _check_word(name: str, word: str, accepted: Sequence[str]) -> None:

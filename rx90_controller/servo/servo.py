@@ -190,12 +190,17 @@ class Servo:
             if isinstance(error, PastError)
             else ResultCode.INVALID_GOAL
         )
-        self.count_refusal(request.kind, error)
         request.end(State.ABORTED, code, str(error))
         if request.is_goal:
+            self.count_refusal(request.kind, error)
             self.deliver(request)
         else:
-            self.complain(f"{request.kind} rejected: {error}")
+            self.reject(request.kind, error)
+
+    def reject(self, kind: str, error: TrajectoryError) -> None:
+        """Count what was refused, and say why."""
+        self.count_refusal(kind, error)
+        self.complain(f"{kind} rejected: {error}")
 
     def refuse_set_points(self, source: str, error: TrajectoryError) -> None:
         """Count set-points that are not followed, and say why now and then."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -69,10 +70,8 @@ class TrajectoryGenerator:
         self.period = period
         self.revision = 0
         self.factor = 1.0
-        self._origin: tuple[int, int | None] = (
-            0,
-            None,
-        )  # of a fork: revision, and start of the waiting motion
+        # of a fork: revision, and start of the waiting motion
+        self._origin: tuple[int, int | None] = (0, None)
         self.reset(hold)
 
     def warm_up(self) -> None:
@@ -107,8 +106,9 @@ class TrajectoryGenerator:
         self._promote(now - count)
         at_rest = not self._current.runs(now - count)
         self._current.delay(count)
-        later = max(now - self._next.start, 0) if at_rest and self._next is not None else count
+        later = count
         if self._next is not None:
+            later = max(now - self._next.start, 0) if at_rest else count
             self._next.delay(later)
         self._played = [
             one.shifted(count if one.begin < now - count else later) for one in self._played
@@ -122,22 +122,25 @@ class TrajectoryGenerator:
 
         Ticks must not go back to before the last `accept`.
         """
-        if self._next is None:
-            return self._current.setpoints(tick, count)
-        head = min(max(self._next.start - tick, 0), count)
-        before = self._current.setpoints(tick, head)
-        return np.concatenate([before, self._next.setpoints(tick + head, count - head)])
+        return self._sampled(FollowedPath.setpoints, tick, count)
+
+    def _sampled(
+        self, sample: Callable[[FollowedPath, int, int], Array], tick: int, count: int
+    ) -> Array:
+        """Return samples of the running motion and, from its start on, of the waiting one."""
+        waiting = self._next
+        if waiting is None:
+            return sample(self._current, tick, count)
+        head = min(max(waiting.start - tick, 0), count)
+        before = sample(self._current, tick, head)
+        return np.concatenate([before, sample(waiting, tick + head, count - head)])
 
     def corrected(self, tick: int, count: int = 1) -> Array:
         """Return set-points as the law takes them, and a played correction's offsets beneath, rad, (count, 4, j).
 
         Their accelerations are those of `FollowedPath.leading`.
         """
-        waiting = self._next
-        head = count if waiting is None else min(max(waiting.start - tick, 0), count)
-        setpoints = self._current.leading(tick, head)
-        if waiting is not None:
-            setpoints = np.concatenate([setpoints, waiting.leading(tick + head, count - head)])
+        setpoints = self._sampled(FollowedPath.leading, tick, count)
         if not self._played:
             return setpoints
         ticks = np.arange(tick, tick + count)
@@ -208,9 +211,8 @@ class TrajectoryGenerator:
         if factor == self.factor:
             return
         self.factor = factor
-        self._played = cut_at(
-            self._played, now, now
-        )  # it belongs to the speed at which it was learned
+        # it belongs to the speed at which it was learned
+        self._played = cut_at(self._played, now, now)
         motion = self._effective(now)
         waiting = self._next
         if motion.runs(now) and not motion.fixed:
@@ -359,9 +361,8 @@ class TrajectoryGenerator:
             return None
         fork = copy.copy(self)
         fork._origin = (self.revision, None if self._next is None else self._next.start)
-        laws = [
-            copy.copy(law) for law in self._current.laws
-        ]  # a fork must not change this generator's laws
+        # a fork must not change this generator's laws
+        laws = [copy.copy(law) for law in self._current.laws]
         fork._current = replace(self._current, laws=laws)
         fork._next = None
         return fork

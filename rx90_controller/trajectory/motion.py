@@ -18,9 +18,8 @@ _QUINTIC_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)  # times distance over time s
 _RAMP_PEAK_ACCELERATION = 1.5  # of a quintic from rest to a velocity, times the mean acceleration
 _KNOT_ANGLE = 0.55  # of the fastest sine between knots, rad: quintics between exact knots miss it by 1e-6 of its size
 _LONGEST_KNOT_PERIOD = 0.02  # s, for the fades
-_FADE = Polynomial(
-    [0.0, 0.0, 0.0, 10.0, -15.0, 6.0]
-)  # from 0 to 1, with neither slope nor bend at both ends
+# from 0 to 1, with neither slope nor bend at both ends
+_FADE = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
 
 
 class Motion:
@@ -99,8 +98,8 @@ class Motion:
         w = _FADE(share)
         w_dot = _FADE.deriv()(share) * rate
         w_ddot = _FADE.deriv(2)(share) * rate**2
-        faded = (w * s, w_dot * s + w * s_dot, w_ddot * s + 2.0 * w_dot * s_dot + w * s_ddot)
-        way, velocity, acceleration = (values[:, None] * direction for values in faded)
+        faded = [w * s, w_dot * s + w * s_dot, w_ddot * s + 2.0 * w_dot * s_dot + w * s_ddot]
+        way, velocity, acceleration = np.stack(faded)[:, :, None] * direction
         way[-1] = 0.0
         self.follow(time, self.pose + way, velocity, acceleration)
 

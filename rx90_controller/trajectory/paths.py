@@ -23,9 +23,8 @@ from rx90_controller.trajectory.spline import Spline, interpolate, resting, smoo
 
 # A spline that should run exactly at a limit, or end on it, may miss it by rounding.
 _SLACK = 1e-9
-_POSITION_SLACK = (
-    1e-6  # rad; planners clip to limits that were printed, or were held as angles of their own
-)
+# rad; planners clip to limits that were printed, or were held as angles of their own
+_POSITION_SLACK = 1e-6
 # Times in messages are whole nanoseconds, which changes an acceleration over some milliseconds by some millionths.
 _ACCELERATION_SLACK = 1e-5  # of the limit
 # The largest acceleration lies between two set-points, and may be a little more than the largest set-point.

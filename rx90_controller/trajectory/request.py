@@ -26,11 +26,8 @@ from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.generator import PastError, Schedule, TrajectoryGenerator
 from rx90_controller.trajectory.points import TrajectoryPoints, check_joints, points_from_message
 
-_QUANTITIES = (
-    ("position", "rad"),
-    ("velocity", "rad/s"),
-    ("acceleration", "rad/s^2"),
-)  # the rows of tolerances
+# the rows of tolerances
+_QUANTITIES = (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s^2"))
 _ERASE = 1.2e-7  # float's epsilon: how near to -1 a tolerance erases the default
 # points, s: of a trajectory that can be joined between two ticks
 _SHORT_POINTS = 20
@@ -438,9 +435,8 @@ def check_request(
     elif message.joint_names:
         check_joints(defaults.names, list(message.joint_names))
     stamp_ns = message_time_ns(message.header.stamp)
-    start = (
-        int(-(-stamp_ns * position_hz // NANOSECONDS)) if stamp_ns else None
-    )  # the first tick not before it
+    # the first tick not before it
+    start = int(-(-stamp_ns * position_hz // NANOSECONDS)) if stamp_ns else None
     return TrajectoryRequest(
         message, points, start, tolerances, options, is_goal=goal is not None, remark=remark
     )

@@ -171,18 +171,15 @@ def interpolate(
     """
     h = np.diff(times)[:, None]
     coefficients = np.zeros((times.size - 1, 6, position.shape[1]))
-    p0 = position[:-1]
     rise = np.diff(position, axis=0)
-    coefficients[:, 0] = p0
+    v0 = velocity[:-1]
+    v1 = velocity[1:]
+    coefficients[:, 0] = position[:-1]
+    coefficients[:, 1] = v0
     if acceleration is None:
-        v0 = velocity[:-1]
-        v1 = velocity[1:]
-        coefficients[:, 1] = v0
         coefficients[:, 2] = (3 * rise / h - 2 * v0 - v1) / h
         coefficients[:, 3] = (-2 * rise / h + v0 + v1) / (h * h)
     else:
-        v0 = velocity[:-1]
-        v1 = velocity[1:]
         a0 = acceleration[:-1]
         a1 = acceleration[1:]
         # What is left to do beyond constant acceleration a0, in position, velocity and acceleration.
@@ -191,7 +188,6 @@ def interpolate(
         dp = rise - h * v0 - square * a0 / 2
         dv = v1 - v0 - h * a0
         da = a1 - a0
-        coefficients[:, 1] = v0
         coefficients[:, 2] = a0 / 2
         coefficients[:, 3] = (10 * dp / h - 4 * dv + h * da / 2) / square
         coefficients[:, 4] = (-15 * dp / h + 7 * dv - h * da) / (square * h)
@@ -277,14 +273,6 @@ class _Law:
             rates[row] + ahead * change,
             change,
         )
-
-    def point(self, tick: int) -> tuple[float, float]:
-        """Return time, s, and rate at a tick, faster than `at`."""
-        since = tick - self.tick
-        self._extend(since + 1)
-        row = min(since, self._series.shape[1] - 1)
-        time, rate = self._series[:, row].tolist()
-        return time + (since - row) * self._period * rate, rate
 
     def settles(self, within: int) -> int | None:
         """Return the ticks until the target rate, or the end of the path, is reached; None if they are more."""
@@ -477,7 +465,8 @@ class FollowedPath:
         """Return the time on the path at a tick, s, and its rate."""
         for law in reversed(self.laws):
             if tick >= law.tick:
-                return law.point(tick)
+                time, rate, _ = law.at(np.array([tick]))
+                return float(time[0]), float(rate[0])
         return (tick - self.start) * self.period, 1.0
 
     def entry(self, tick: int) -> Array:

@@ -35,9 +35,8 @@ INTERFACES = (POSITION, VELOCITY)
 """What a stream may consist of."""
 LONGEST_PAUSE = 1.0
 """Interruption of a stream, s, after which its sender goes on from where it is by then; a longer one ends it."""
-_OTHER_CLOCK = (
-    1.0  # s: a stamp further from the controller's time than this comes from another clock
-)
+# s: a stamp further from the controller's time than this comes from another clock
+_OTHER_CLOCK = 1.0
 _SLOW = 1e-7  # rad/s: velocity that is rounded to rest at the end of a motion
 _FAR = 1e6  # rad, rad/s, rad/s^2: beyond all limits; larger numbers are taken for it, so that none overflows
 
@@ -225,14 +224,12 @@ class Stream:
             self._values = held[None, quantity : quantity + 2] * self.named
         values = np.clip(points.values, -_FAR, _FAR)
         if not values[-1, 1].any():
-            values[-1, 1] = (
-                np.nan
-            )  # senders usually let a single point rest; the next one is still to come
+            # senders usually let a single point rest; the next one is still to come
+            values[-1, 1] = np.nan
         values = values[times > now]
         times = times[times > now]
-        begin = max(
-            np.searchsorted(self._times, now) - 2, 0
-        )  # the slope at the last one before now needs two
+        # the slope at the last one before now needs two
+        begin = max(np.searchsorted(self._times, now) - 2, 0)
         end = np.searchsorted(self._times, times[0])
         self._times = np.concatenate([self._times[begin:end], times])
         self._values = np.concatenate([self._values[begin:end], values])
@@ -279,9 +276,8 @@ class Stream:
         if self.interface == POSITION:
             slopes = np.where(np.isnan(slopes), np.gradient(values, times, axis=0), slopes)
         else:
-            from scipy.integrate import (
-                cumulative_trapezoid,
-            )  # takes a while, which most runs do without
+            # takes a while, which most runs do without
+            from scipy.integrate import cumulative_trapezoid
 
             times = np.append(times, self.expires - now)
             slopes = np.vstack([values, values[-1]])

@@ -15,13 +15,12 @@ from rx90_emulator.cli.options import (
     add_output,
     add_robot_arguments,
     new_folder,
-    node_of,
     progress_bar,
+    setup_of,
     stay_on_this_machine,
     whole_number,
 )
 
-_TIMEOUT = 30.0
 _NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _EPILOG = """\
 the controller is COMMAND, which is started anew for each case and gets what stands behind --ros-args, on a
@@ -48,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         "rate)")  # fmt: skip
     about = "new folder for report, result and logs (%(default)s)"
     add_output(parser, new_folder, about, default="controller_check", metavar="FOLDER")
-    add_node_arguments(parser, _TIMEOUT)
+    add_node_arguments(parser)
     add_robot_arguments(parser)
 
 
@@ -67,26 +66,23 @@ def main(options: argparse.Namespace) -> int:
         stay_on_this_machine()
     # Here, because --help must not wait for them.
     from rx90_common.base.rates import ticks_per
-    from rx90_common.description.robot_files import RobotFiles
     from rx90_common.exchange.ros_start import prepare
     from rx90_common.process.files import write_text
     from rx90_emulator.conformance.battery import CASES
-    from rx90_emulator.loop.setup import Setup
 
     prepare()
     from rx90_emulator.conformance.bench import Candidate
     from rx90_emulator.conformance.check import check_controller
 
-    setup = Setup.load(RobotFiles.of_options(options))
+    setup = setup_of(options)
     names = options.cases or list(CASES)
     for name in names:
         if name not in CASES:
             raise ConfigError(f"--case {quoted(name)}; accepted: {', '.join(CASES)}")
     rate = setup.rates.base_hz if options.joint_commands is None else options.joint_commands
     ticks_per_command = ticks_per("--joint-commands", setup.rates.base_hz, rate)
-    timeout = options.timeout or _TIMEOUT
     candidate = Candidate(
-        command, node_of(options), options.set_points, at_joints, ticks_per_command, timeout
+        command, options.node, options.set_points, at_joints, ticks_per_command, options.timeout
     )
     with progress_bar("check") as progress:
         result = check_controller(candidate, setup, names, options.output, progress)

@@ -15,19 +15,19 @@ from rx90_emulator.cli.options import (
     add_output,
     add_robot_arguments,
     add_verbs,
-    node_of,
     place,
     progress_bar,
+    setup_of,
     whole_number,
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rx90_emulator.correction.file import CorrectionFile
-    from rx90_emulator.correction.learning import LearnedCorrection, Learner, TrialRecord
+    from rx90_emulator.correction.learning import LearnedCorrection, Learner, Measured
     from rx90_emulator.correction.path import CorrectablePath
     from rx90_emulator.loop.setup import Setup
-
-_TIMEOUT = 30.0  # s
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,7 +47,7 @@ def _add_nodes(parser: argparse.ArgumentParser) -> None:
     _add_learning(parser)
     _add_trials(parser)
     _add_tip_topic(parser, "learn from the tip, which a sensor measures")
-    add_node_arguments(parser, _TIMEOUT)
+    add_node_arguments(parser)
     add_robot_arguments(parser)
 
 
@@ -116,20 +116,14 @@ def _engine(options: argparse.Namespace) -> int:
     The first trial is without correction, or with the one of --previous. Exit code 1: the path got worse, trial after
     trial; the best correction is written.
     """
-    from rx90_emulator.correction.learning import ENGINE, learn, run_corrected
+    from rx90_emulator.correction.learning import ENGINE, run_corrected
 
     learner, earlier = _learner(options, tip=options.true_tip)
 
     def play(played: Any) -> Any:
         return run_corrected(learner.setup, learner.nominal, played)[1]
 
-    with progress_bar("trials") as progress:
-
-        def on_trial(_: TrialRecord) -> None:
-            progress(len(learner.trials), options.trials + 1)
-
-        learned = learn(learner, play, options.trials, ENGINE, on_trial)
-    return _end(options, learned, earlier)
+    return _end(options, _learned(options, learner, play, ENGINE), earlier)
 
 
 def _nodes(options: argparse.Namespace) -> int:
@@ -138,23 +132,16 @@ def _nodes(options: argparse.Namespace) -> int:
     The first trial is without correction, or with the one of --previous. Exit code 1: the path got worse, trial after
     trial; the best correction is written.
     """
-    from rx90_emulator.correction.learning import NODES, learn
+    from rx90_emulator.correction.learning import NODES
 
     learner, earlier = _learner(options, tip=options.tip_topic is not None)
-    with progress_bar("trials") as progress:
+    from rx90_common.exchange.ros_start import prepare
 
-        def on_trial(_: TrialRecord) -> None:
-            progress(len(learner.trials), options.trials + 1)
+    prepare()
+    from rx90_emulator.correction.nodes import node_trials
 
-        from rx90_common.exchange.ros_start import prepare
-
-        prepare()
-        from rx90_emulator.correction.nodes import node_trials
-
-        with node_trials(
-            learner, node_of(options), options.timeout or _TIMEOUT, options.tip_topic
-        ) as play:
-            learned = learn(learner, play, options.trials, NODES, on_trial)
+    with node_trials(learner, options.node, options.timeout, options.tip_topic) as play:
+        learned = _learned(options, learner, play, NODES)
     return _end(options, learned, earlier)
 
 
@@ -164,7 +151,7 @@ def _recorded(options: argparse.Namespace) -> int:
     What is written is for the next trial. Exit code 1: the path got worse with the trial that was recorded; half the
     step is written.
     """
-    from rx90_emulator.correction.learning import CorrectionError, summary
+    from rx90_emulator.correction.learning import CorrectionError
     from rx90_emulator.correction.recorded import learn_from_record, measured
 
     if options.bag is None and options.tip is None:
@@ -181,22 +168,19 @@ def _recorded(options: argparse.Namespace) -> int:
     except CorrectionError as error:
         print(one_line(f"learning has failed, nothing written: {error}"))
         return VERDICT_NO
-    print(summary(learned.trials))
     said = "for the next trial: half the step from the best trial" if why else "for the next trial"
-    return _write(options, learned, earlier, said, why)
+    return _end(options, learned, earlier, said, why)
 
 
 def _learner(options: argparse.Namespace, *, tip: bool) -> tuple[Learner, CorrectionFile | None]:
     """Return what learns the path of the options, and the correction file that it goes on from."""
-    from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.correction.file import correction_files, load_correction
     from rx90_emulator.correction.learning import Learner
     from rx90_emulator.correction.methods import NormOptimal
-    from rx90_emulator.loop.setup import Setup
 
     for file in correction_files(options.output):
         check_replaced(file, force=options.force)
-    setup = Setup.load(RobotFiles.of_options(options))
+    setup = setup_of(options)
     path = _path(options.path, setup)
     method = NormOptimal(options.effort, options.joints_weight, options.cutoff)
     earlier = None if options.previous is None else load_correction(options.previous)
@@ -204,29 +188,36 @@ def _learner(options: argparse.Namespace, *, tip: bool) -> tuple[Learner, Correc
     return Learner(setup, path, method, tip=tip, noise=options.noise, previous=previous), earlier
 
 
+def _learned(
+    options: argparse.Namespace, learner: Learner, play: Callable[..., Measured], where: str
+) -> LearnedCorrection:
+    """Play the trials."""
+    from rx90_emulator.correction.learning import learn
+
+    count = options.trials + 1
+    with progress_bar("trials") as progress:
+        return learn(
+            learner, play, options.trials, where, lambda _: progress(len(learner.trials), count)
+        )
+
+
 def _end(
-    options: argparse.Namespace, learned: LearnedCorrection, earlier: CorrectionFile | None
-) -> int:
-    """Show the trials, and write the best correction."""
-    from rx90_emulator.correction.learning import summary
-
-    print(summary(learned.trials))
-    said = f"worst {learned.best.worst * 1e3:.4f} mm"
-    why = f"learning has failed: {learned.remark}" if learned.remark else ""
-    return _write(options, learned, earlier, said, why)
-
-
-def _write(
     options: argparse.Namespace,
     learned: LearnedCorrection,
     earlier: CorrectionFile | None,
-    said: str,
-    why: str,
+    said: str = "",
+    why: str = "",
 ) -> int:
+    """Show the trials, and write the correction."""
     from rx90_emulator.correction.file import write_correction
+    from rx90_emulator.correction.learning import summary
 
+    print(summary(learned.trials))
     write_correction(learned, options.output, earlier)
+    said = said or f"worst {learned.best.worst * 1e3:.4f} mm"
     print(one_line(f"written to {options.output}: {said}"))
+    if learned.remark:
+        why = f"learning has failed: {learned.remark}"
     if why:
         print(one_line(why))
         return VERDICT_NO
@@ -287,17 +278,15 @@ def _precompensate(options: argparse.Namespace) -> None:
     The path errors are those of the engine, with the arm of the files.
     """
     check_replaced(options.output, force=options.force)
-    from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.correction.file import load_correction
     from rx90_emulator.correction.precompensation import (
         CUTOFF,
         corrected_trajectory,
         travelled_error,
     )
-    from rx90_emulator.loop.setup import Setup
     from rx90_emulator.loop.trajectory_file import write_trajectory
 
-    setup = Setup.load(RobotFiles.of_options(options))
+    setup = setup_of(options)
     path = _path(options.path, setup)
     cutoff = options.cutoff or CUTOFF
     found = load_correction(options.file)

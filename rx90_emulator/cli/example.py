@@ -13,6 +13,7 @@ from rx90_emulator.cli.options import (
     add_robot_arguments,
     add_verbs,
     new_folder,
+    setup_of,
 )
 
 if TYPE_CHECKING:
@@ -80,11 +81,9 @@ def _nodes(options: argparse.Namespace) -> None:
 
 def _controller(options: argparse.Namespace) -> tuple[Setup, ComputedTorque]:
     # Here, because --help must not wait for them.
-    from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.loop.own_controller import ComputedTorque
-    from rx90_emulator.loop.setup import Setup
 
-    setup = Setup.load(RobotFiles.of_options(options))
+    setup = setup_of(options)
     return setup, ComputedTorque(setup, _AMPLITUDE, _PERIOD, friction=not options.no_compensation)
 
 

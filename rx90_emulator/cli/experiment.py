@@ -22,7 +22,7 @@ from rx90_emulator.cli.options import (
     add_robot_arguments,
     add_verbs,
     new_folder,
-    node_of,
+    setup_of,
     whole_number,
 )
 from rx90_emulator.identification.experiments.options import QUICK, RANGES, ExcitationOptions
@@ -39,7 +39,6 @@ Bags that are complete stay, whatever ends the run. No motion is checked for col
 of the arm with itself and with the planes given by --keep-above and --wall, by the shapes of <collision> in the URDF.
 Set-points keep the joints' ranges and speed limits, and the expected torque keeps what the URDF allows.
 """
-_TIMEOUT = 60.0  # s
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -80,7 +79,7 @@ def _verbs(add_options: Callable[[argparse.ArgumentParser], None]) -> tuple[Verb
 
     def add_nodes(parser: argparse.ArgumentParser) -> None:
         add_engine(parser)
-        add_node_arguments(parser, _TIMEOUT)
+        add_node_arguments(parser, 60.0)
 
     return (
         (add_plan, _plan, "show the experiments, their time and number of runs; moves nothing"),
@@ -168,7 +167,7 @@ def _plan(options: argparse.Namespace) -> None:
     # Here, because --help must not wait for them.
     from rx90_emulator.identification.experiments.arms import PlannedArm
 
-    setup = _setup(options)
+    setup = setup_of(options)
     arm = PlannedArm.from_setup(setup, options.home)
     _write(options, arm, _described(options, setup, arm))
 
@@ -198,9 +197,7 @@ def _nodes(options: argparse.Namespace) -> None:
     from rx90_emulator.identification.experiments import series
 
     setup, plan = _planned(options)
-    series.record_on_nodes(
-        setup, plan, options.output, node_of(options), options.timeout or _TIMEOUT
-    )
+    series.record_on_nodes(setup, plan, options.output, options.node, options.timeout)
     print(one_line(f"bags: {options.output}"))
 
 
@@ -208,15 +205,8 @@ def _planned(options: argparse.Namespace) -> tuple[Setup, Sequence[Experiment]]:
     """Return the setup of a robot, and the experiments, which are shown."""
     from rx90_emulator.identification.experiments.arms import PlannedArm
 
-    setup = _setup(options)
+    setup = setup_of(options)
     return setup, _described(options, setup, PlannedArm.from_setup(setup, options.home))
-
-
-def _setup(options: argparse.Namespace) -> Setup:
-    from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.loop.setup import Setup
-
-    return Setup.load(RobotFiles.of_options(options))
 
 
 def _described(

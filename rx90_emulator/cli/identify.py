@@ -82,8 +82,6 @@ def _add_excitation(parser: argparse.ArgumentParser) -> None:
         "runs in which all joints move, without plateaus, or a folder that rx90 experiment wrote",
     )
     _add_identification(parser, MODEL_PARTS, "folder for robot files, report and parameters")
-    parser.add_argument("--bristles", action="store_true", help="try bristles along the motion, too, where neither a "
-                        "Stribeck rise nor the rows of reversals ask for them")  # fmt: skip
     parser.add_argument("--no-rotors", action="store_true", help="of an arm of --urdf: leave the inertias of rotors "
                         "out, for torques of sensors between gear and link")  # fmt: skip
     _add_bandwidth(parser, "of the low-pass of the positions, a third of it for torques (the widest with clean "
@@ -172,7 +170,7 @@ def _excitation(options: argparse.Namespace) -> int:
     against = job.run_identification(
         lambda step: excitation.identify_excitation(
             series.excitation, robot, validation, tolerances,
-            bristles=options.bristles, model=options.model, rotors=not options.no_rotors,
+            model=options.model, rotors=not options.no_rotors,
             bandwidth=options.bandwidth, progress=step,
         ),
         options.output,

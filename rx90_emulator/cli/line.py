@@ -17,8 +17,8 @@ from rx90_emulator.cli.options import (
     add_rate,
     add_robot_arguments,
     add_start_time,
-    node_of,
     place,
+    setup_of,
 )
 
 if TYPE_CHECKING:
@@ -69,6 +69,7 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
     send = parser.add_argument_group("sending")
     add_rate(send)
     add_node_arguments(send, _TIMEOUT)
+    send.set_defaults(timeout=None)
     add_start_time(send, "0: now")
     send.add_argument(
         "--approach", action="store_true", help="first move to the start, straight in the joints"
@@ -109,7 +110,7 @@ def plan_and_send(
     plan = plan_line(robot, task, period, limits.acceleration)
     _say(describe_line(plan))
     check_plan(plan, limits, period, plan.start_pose)
-    correction = _correction(plan, files, options)
+    correction = _correction(plan, options)
     if options.output is not None:
         from rx90_emulator.loop.trajectory_file import write_trajectory
 
@@ -150,17 +151,14 @@ def _task(options: argparse.Namespace, files: RobotFiles, robot: RobotModel) -> 
     return replace(task, **given)
 
 
-def _correction(
-    plan: LinePlan, files: RobotFiles, options: argparse.Namespace
-) -> Correction | None:
+def _correction(plan: LinePlan, options: argparse.Namespace) -> Correction | None:
     """Return the correction of --correction, which must be one of this line."""
     if options.correction is None:
         return None
     from rx90_emulator.correction.file import load_correction
-    from rx90_emulator.loop.setup import Setup
 
     found = load_correction(options.correction)
-    correction = found.fitting(Setup.load(files), plan)
+    correction = found.fitting(setup_of(options), plan)
     worst = min(found.last_worst(found.measurements[-1]))
     _say(
         f"correction of {options.correction}: path error {worst * 1e3:.4f} mm when it was learned "
@@ -187,7 +185,7 @@ def _send(
     approach = Approach() if options.approach else None
     with client_node("rx90_line", options.timeout or _TIMEOUT, _say, options.ros_args) as client:
         deliver(
-            client, plan, node_of(options), limits, 1.0 / options.rate, approach,
+            client, plan, options.node, limits, 1.0 / options.rate, approach,
             start_time=options.start_time, correction=correction, starting=0.0 if options.timeout else _STARTING,
         )  # fmt: skip
 

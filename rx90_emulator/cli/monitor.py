@@ -10,19 +10,17 @@ from rx90_emulator.cli.options import (
     add_node_arguments,
     add_robot_arguments,
     add_verbs,
-    node_of,
+    setup_of,
     whole_from,
 )
 
 if TYPE_CHECKING:
-    from rx90_emulator.loop.setup import Setup
     from rx90_emulator.vplus.cell import Cell
 
 _EPILOG = """\
 Without --port the line is a pseudo-terminal, whose name is printed; Ctrl-C ends. docs/reference/vplus.md has the
 commands. The arm moves on the wall clock.
 """
-_TIMEOUT = 30.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,7 +52,7 @@ def _add_engine(parser: argparse.ArgumentParser) -> None:
 def _add_nodes(parser: argparse.ArgumentParser) -> None:
     _add_engine(parser)
     parser.set_defaults(ros_args=[])
-    add_node_arguments(parser, _TIMEOUT)
+    add_node_arguments(parser)
 
 
 def _engine(options: argparse.Namespace) -> None:
@@ -62,13 +60,13 @@ def _engine(options: argparse.Namespace) -> None:
     # Here, because --help must not wait for it.
     from rx90_emulator.vplus.cell import Cell, Engine
 
-    setup = _setup(options)
+    setup = setup_of(options)
     _serve(options, Cell(setup, Engine(setup, keep=False)), waits=True)
 
 
 def _nodes(options: argparse.Namespace) -> None:
     """Serve the monitor of the arm of rx90_sim and rx90_controller until Ctrl-C."""
-    setup = _setup(options)
+    setup = setup_of(options)
     from rx90_common.exchange.ros_start import prepare
 
     prepare()
@@ -76,20 +74,11 @@ def _nodes(options: argparse.Namespace) -> None:
     from rx90_controller.node.program_client import ProgramClient
     from rx90_emulator.vplus.cell import Cell
 
-    with client_node(
-        "rx90_monitor", options.timeout or _TIMEOUT, print, options.ros_args
-    ) as client:
-        nodes = ProgramClient(client, node_of(options), setup.robot.joint_names)
+    with client_node("rx90_monitor", options.timeout, print, options.ros_args) as client:
+        nodes = ProgramClient(client, options.node, setup.robot.joint_names)
         cell = Cell(setup, nodes)
         cell.publish = nodes.signals(cell.receive)
         _serve(options, cell, waits=False)
-
-
-def _setup(options: argparse.Namespace) -> Setup:
-    from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.loop.setup import Setup
-
-    return Setup.load(RobotFiles.of_options(options))
 
 
 def _serve(options: argparse.Namespace, cell: Cell, *, waits: bool) -> None:

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from rx90_common.base.errors import REFUSED, ConfigError, check_bag_name, check_place
 from rx90_common.base.quoting import one_line, plain, quoted
@@ -24,8 +24,12 @@ from rx90_common.description.robot_files import (
     FILES,
     MODEL_FILES,
     PAPER,
+    RobotFiles,
     shipped_robots,
 )
+
+if TYPE_CHECKING:
+    from rx90_emulator.loop.setup import Setup
 
 _EXIT_CODES = """
 exit status: 0 done, also after Ctrl-C for what runs until then (nodes, recorder, emulated rig); 1 done, and the verdict
@@ -130,9 +134,6 @@ def whole_from(low: int, high: int) -> Callable[[str], float]:
     return number(f"a whole number from {low} to {high}", lambda value: low <= value <= high, int)
 
 
-_PORT = whole_from(0, 65535)
-
-
 def place(text: str) -> Path:
     """Return the path of a file to be written, as a type for argparse: refused at once if it cannot be written."""
     path = Path(text)
@@ -175,6 +176,14 @@ def stay_on_this_machine() -> None:
     """Keep ROS, before it is imported, on this machine and apart from other runs on it, unless the user says where."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+
+
+def setup_of(options: argparse.Namespace) -> Setup:
+    """Return the setup of the robot, and of the single files of it, that the options name."""
+    # Here, because --help must not wait for it.
+    from rx90_emulator.loop.setup import Setup
+
+    return Setup.load(RobotFiles.of_options(options))
 
 
 @contextmanager
@@ -254,11 +263,9 @@ Verb = tuple[
 whose docstring is the description; its line in --help."""
 
 
-def add_verbs(
-    parser: argparse.ArgumentParser, verbs: Sequence[Verb], required: bool = True
-) -> None:
+def add_verbs(parser: argparse.ArgumentParser, verbs: Sequence[Verb]) -> None:
     """Add a parser for each verb, whose function `options.run` then is."""
-    added = parser.add_subparsers(dest="verb", required=required, metavar="VERB")
+    added = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for add, run, text in verbs:
         one = added.add_parser(run.__name__.strip("_"), help=text, description=inspect.getdoc(run))
         one.set_defaults(run=run)
@@ -284,28 +291,18 @@ def add_robot_arguments(parser: argparse.ArgumentParser, *names: str) -> None:
         )
 
 
-def add_page_arguments(group: argparse._ActionsContainer, port: int) -> None:
-    """Add the options of a page in the browser, by default on a port; None for what was not given."""
-    group.add_argument("--host", metavar="ADDRESS",
-                       help="to serve the page on; 0.0.0.0 shows it to other machines, too (127.0.0.1: to this one "
-                       "alone)")  # fmt: skip
-    group.add_argument("--port", type=_PORT, metavar="N", help=f"0: any free one ({port})")
+def add_node(group: argparse._ActionsContainer) -> None:
+    """Add --node, the controller that a command talks to."""
     group.add_argument(
-        "--no-browser", action="store_true", help="print the address and open no browser"
+        "--node", metavar="NAME", default=CONTROLLER, help="controller node (%(default)s)"
     )
 
 
-def add_node_arguments(group: argparse._ActionsContainer, timeout: float) -> None:
-    """Add the options of a command that talks to running nodes; None for what was not given."""
-    group.add_argument("--node", metavar="NAME", help=f"controller node ({CONTROLLER})")
-    group.add_argument(
-        "--timeout", type=POSITIVE, metavar="S", help=f"s to wait for the nodes ({timeout:g})"
-    )
-
-
-def node_of(options: argparse.Namespace) -> str:
-    """Return the name of the controller node that a command talks to."""
-    return CONTROLLER if options.node is None else str(options.node)
+def add_node_arguments(group: argparse._ActionsContainer, timeout: float = 30.0) -> None:
+    """Add the options of a command that talks to running nodes."""
+    add_node(group)
+    about = f"s to wait for the nodes ({timeout:g})"
+    group.add_argument("--timeout", type=POSITIVE, default=timeout, metavar="S", help=about)
 
 
 def add_arm_arguments(parser: argparse.ArgumentParser) -> None:

@@ -21,16 +21,20 @@ from rx90_emulator.cli.options import (
     check_picture,
     new_file,
     new_folder,
-    node_of,
     number,
+    setup_of,
     whole_number,
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rx90_emulator.loop.setup import Setup
     from rx90_emulator.vplus.cell import Change
     from rx90_emulator.vplus.run import Options, ProgramRun
     from rx90_emulator.vplus.tree import Memory, Readings
+
+    _Play = Callable[[argparse.Namespace, Setup, Memory, list[Change]], ProgramRun]
 
 _EPILOG = """\
 FILE is a file of V+ (.v2, .pg, with data sections or .lc beside it), or a folder of them. The arm begins at READY.
@@ -38,7 +42,6 @@ Inputs change at the times of --inputs: a YAML such as {1001: 1.0, 1002: [2.0, 3
 docs/reference/vplus.md says what of the language is there, and which readings are assumed.
 """
 _PERCENT = number("a percentage above 0, up to 100", lambda value: 0.0 < value <= 100.0)
-_TIMEOUT = 30.0
 _MOST_FAULTS = 20
 _PERIODS = (1, 2, 4, 8, 16)
 
@@ -61,8 +64,8 @@ def _add_engine(parser: argparse.ArgumentParser) -> None:
 
 def _add_nodes(parser: argparse.ArgumentParser) -> None:
     _add_program(parser)
-    parser.set_defaults(ros_args=[])
-    add_node_arguments(parser, _TIMEOUT)
+    parser.set_defaults(ros_args=[], output=None, report=None, plot=None)
+    add_node_arguments(parser)
 
 
 def _add_check(parser: argparse.ArgumentParser) -> None:
@@ -123,39 +126,25 @@ def _engine(options: argparse.Namespace) -> None:
     """Run a program in the closed loop without ROS, show what it did, write what was asked for."""
     if options.plot is not None:
         check_picture(options.plot)
-    # Here, because --help must not wait for them.
-    from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.loop.setup import Setup
-    from rx90_emulator.vplus.cell import load_inputs
-    from rx90_emulator.vplus.run import run_program
-
-    inputs = load_inputs(options.inputs) if options.inputs is not None else []
-    memory = _load(options)
-    setup = Setup.load(RobotFiles.of_options(options))
-    chosen = _chosen(options, record_fast=options.output is not None and not options.slow_only)
-    began = time.perf_counter()
-    arguments = tuple(options.arguments)
-    run = run_program(
-        setup, memory, options.name, arguments=arguments, inputs=inputs, options=chosen, show=_show
-    )
-    _tell(run, time.perf_counter() - began)
-    _write(run, options)
-    if run.error is not None:
-        raise run.error
+    _run(options, _on_engine)
 
 
 def _nodes(options: argparse.Namespace) -> None:
     """Run a program on rx90_sim and rx90_controller, from where the arm is; rx90 bag record records it."""
-    from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.loop.setup import Setup
+    _run(options, _on_nodes)
+
+
+def _run(options: argparse.Namespace, play: _Play) -> None:
+    # Here, because --help must not wait for it.
     from rx90_emulator.vplus.cell import load_inputs
 
     inputs = load_inputs(options.inputs) if options.inputs is not None else []
     memory = _load(options)
-    setup = Setup.load(RobotFiles.of_options(options))
+    setup = setup_of(options)
     began = time.perf_counter()
-    run = _on_nodes(options, setup, memory, inputs, _chosen(options, record_fast=False))
+    run = play(options, setup, memory, inputs)
     _tell(run, time.perf_counter() - began)
+    _write(run, options)
     if run.error is not None:
         raise run.error
 
@@ -179,7 +168,7 @@ def _load(options: argparse.Namespace) -> Memory:
         raise
 
 
-def _chosen(options: argparse.Namespace, *, record_fast: bool) -> Options:
+def _chosen(options: argparse.Namespace, *, record_fast: bool = False) -> Options:
     from rx90_emulator.vplus.run import Options
 
     return Options(
@@ -219,8 +208,25 @@ def _write(run: ProgramRun, options: argparse.Namespace) -> None:
         print(one_line(f"picture: {options.plot}"))
 
 
+def _on_engine(
+    options: argparse.Namespace, setup: Setup, memory: Memory, inputs: list[Change]
+) -> ProgramRun:
+    from rx90_emulator.vplus.run import run_program
+
+    chosen = _chosen(options, record_fast=options.output is not None and not options.slow_only)
+    return run_program(
+        setup,
+        memory,
+        options.name,
+        arguments=options.arguments,
+        inputs=inputs,
+        options=chosen,
+        show=_show,
+    )
+
+
 def _on_nodes(
-    options: argparse.Namespace, setup: Setup, memory: Memory, inputs: list[Change], chosen: Options
+    options: argparse.Namespace, setup: Setup, memory: Memory, inputs: list[Change]
 ) -> ProgramRun:
     from rx90_common.exchange.ros_start import prepare
 
@@ -230,10 +236,9 @@ def _on_nodes(
     from rx90_emulator.vplus.cell import Cell
     from rx90_emulator.vplus.run import run_in
 
-    with client_node(
-        "rx90_program", options.timeout or _TIMEOUT, print, options.ros_args
-    ) as client:
-        nodes = ProgramClient(client, node_of(options), setup.robot.joint_names)
+    chosen = _chosen(options)
+    with client_node("rx90_program", options.timeout, print, options.ros_args) as client:
+        nodes = ProgramClient(client, options.node, setup.robot.joint_names)
         cell = Cell(setup, nodes, inputs, chosen.period)
         cell.publish = nodes.signals(cell.receive)
         cell.show = _show

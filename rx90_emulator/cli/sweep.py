@@ -79,9 +79,8 @@ def _run(options: argparse.Namespace) -> None:
         done = f"{counts.computed} of {counted(len(sweep), 'run')} in {elapsed:.1f} s, {counts.failed} failed"
         why = f" (rx90 sweep info {options.output} says why)" if counts.failed else ""
         print(one_line(f"{done}{why}; {options.output}"))
-    if (
-        counts.failed == counts.computed
-    ):  # perhaps not one run of the file has results, also of calls before
+    # perhaps not one run of the file has results, also of calls before
+    if counts.failed == counts.computed:
         errors = read_sweep(options.output)["error"]
         if errors.null_count == 0:
             runs = "the run" if len(errors) == 1 else f"each of the {len(errors)} runs"

@@ -12,14 +12,12 @@ from rx90_common.process.children import kill_all
 from rx90_common.process.interrupts import ends_within
 from rx90_common.process.threads import be_nicer, where_threads_are
 from rx90_emulator.cli.options import (
-    CONTROLLER,
-    add_page_arguments,
+    add_node,
     add_robot_arguments,
-    node_of,
     stay_on_this_machine,
+    whole_from,
 )
 
-_PORT = 8080
 _NICENESS = 10
 _TIMEOUT = 5.0  # s for the answer of a node
 _END_WITHIN = 1.5, 20.0  # s, from Ctrl-C to the end: of a start, of a page that is shown
@@ -28,13 +26,26 @@ _END_WITHIN = 1.5, 20.0  # s, from Ctrl-C to the end: of a start, of a page that
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     live = parser.add_argument_group("running nodes")
-    live.add_argument("--node", metavar="NAME", help=f"controller node ({CONTROLLER})")
+    add_node(live)
     live.add_argument(
         "--demo", action="store_true",
         help="start simulation and controller, too, and move along the reference line until Ctrl-C",
     )  # fmt: skip
-    add_page_arguments(parser.add_argument_group("page"), _PORT)
-    parser.set_defaults(host="127.0.0.1", port=_PORT, ros_args=[])
+    page = parser.add_argument_group("page")
+    page.add_argument("--host", metavar="ADDRESS", default="127.0.0.1",
+                      help="to serve the page on; 0.0.0.0 shows it to other machines, too (%(default)s: to this one "
+                      "alone)")  # fmt: skip
+    page.add_argument(
+        "--port",
+        type=whole_from(0, 65535),
+        default=8080,
+        metavar="N",
+        help="0: any free one (%(default)s)",
+    )
+    page.add_argument(
+        "--no-browser", action="store_true", help="print the address and open no browser"
+    )
+    parser.set_defaults(ros_args=[])
     add_robot_arguments(parser, "urdf", "tool", "drives", "friction", "controller", "task")
 
 
@@ -87,7 +98,7 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
     from rx90_emulator.view.tour import Tour
 
     files = RobotFiles.of_options(options)
-    controller = node_of(options)
+    controller = options.node
     setup = Setup.load(files)
     plan = None
     if options.demo or files.task is not None:

@@ -23,7 +23,7 @@ from rx90_controller.lines.task import TaskFile, load_task
 from rx90_emulator.correction.file import CorrectionHead, load_correction
 from rx90_emulator.identification.experiments.plan import ExperimentsFile, read_index
 from rx90_emulator.loop.path_file import PathFile, TrajectoryFile, load_path, load_trajectory
-from rx90_emulator.sweep.plan import PlanFile, load_sweep_plan
+from rx90_emulator.sweep.plan import SweepPlan, load_sweep_plan
 
 NODE_PARAMETERS = "node_parameters"
 """The name of the kind of the nodes' parameter files."""
@@ -73,7 +73,7 @@ KINDS = (
     FileKind("path", PathFile, load_path),
     FileKind("poses", Poses, Poses.load),
     FileKind("rig", RigFile, load_rig),
-    FileKind("sweep_plan", PlanFile, _read_sweep),
+    FileKind("sweep_plan", SweepPlan, _read_sweep),
     FileKind(
         "trajectory",
         TrajectoryFile,

@@ -65,7 +65,6 @@ def place_of(path: Path) -> str:
 def file_values(role: str, path: Path) -> list[ShownValue]:
     """Return the values of a robot's file, checked."""
     kind = next(kind for kind in KINDS if kind.name == role)
-    assert kind.model is not None
     kind.read(path)
     lines: dict[str, int] = {}
     content = read_yaml(path, lines=lines)
@@ -165,10 +164,10 @@ def setup_values(files: RobotFiles, chosen: Mapping[str, str]) -> list[ShownValu
     return found
 
 
-def steps_value(setup: Setup, substeps: int | None = None) -> ShownValue:
-    """Return the steps that the plant of a setup takes in a tick; a ConfigError for too few, or too many unasked."""
+def steps_value(setup: Setup) -> ShownValue:
+    """Return the steps that the plant of a setup takes in a tick; a ConfigError for too many unasked."""
     return ShownValue(
-        "plant steps in a tick", setup.plant(substeps).substeps, "1", "by friction, mass and gears"
+        "plant steps in a tick", setup.plant().substeps, "1", "by friction, mass and gears"
     )
 
 

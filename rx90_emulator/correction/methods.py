@@ -158,9 +158,8 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
     inverse = np.linalg.inv(linear.mass)
     q, v, i, tau, c = (slice(k, k + joints) for k in range(0, 5 * joints, joints))
     one = np.eye(joints)
-    rates = np.zeros(
-        (len(inverse), 5 * joints, 5 * joints)
-    )  # of the states, and of the offsets, which are constant
+    # of the states, and of the offsets, which are constant
+    rates = np.zeros((len(inverse), 5 * joints, 5 * joints))
     rates[:, q, v] = one
     rates[:, v, q] = -inverse @ linear.stiffness
     rates[:, v, v] = -inverse @ (linear.damping + viscous)

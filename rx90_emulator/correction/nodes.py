@@ -26,9 +26,8 @@ from rx90_emulator.identification.experiments.nodes import follow_trajectory
 # share of the joints' speeds; rad/s^2: as rx90 line's
 _APPROACH_SPEED = 0.25
 _APPROACH_ACCELERATION = 2.0
-_REST_S = (
-    0.5  # s at the start of the path: the integrators take some 0.1 s, then the arm is at rest
-)
+# s at the start of the path: the integrators take some 0.1 s, then the arm is at rest
+_REST_S = 0.5
 _SENSOR = 0.5  # s, longest lag of a sensor of the tip: a camera with its evaluation
 _GRACE = 20.0  # s for a recorder to write its messages
 
@@ -89,9 +88,8 @@ def node_trials(
                 follow(points, correction)
             approach()
             bag = Path(name) / f"trial_{number}"
-            played = (
-                [CORRECTION] if correction.offsets.any() else []
-            )  # without offsets nothing is published
+            # without offsets nothing is published
+            played = [CORRECTION] if correction.offsets.any() else []
             words = executable("rx90 bag", "record", "--output", bag, *topics, *played)
             recorder = recorders.start(f"recorder of {bag.name}", words)
             recorder.wait_for("ready: all", timeout)

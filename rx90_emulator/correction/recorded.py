@@ -18,7 +18,7 @@ from scipy.signal import fftconvolve
 from rx90_common.bags.comparison import align
 from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.bags.topics import absolute
-from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.quoting import counted, plain
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
@@ -32,12 +32,10 @@ REFERENCE = "rx90_controller/reference"
 TRACKING = "rx90_controller/tracking_error"
 CORRECTION = "rx90_controller/correction"
 _GAP = 3.5  # times the median interval, or the set-points' own: up to two missing samples are interpolated
-_MAX_DIFFERENCE = (
-    0.02  # of the range of a motion, root mean square: a larger one means another motion
-)
-_MAX_ROWS = (
-    10_000_000  # longest record, in set-points: the search for the motion then takes some GB
-)
+# of the range of a motion, root mean square: a larger one means another motion
+_MAX_DIFFERENCE = 0.02
+# longest record, in set-points: the search for the motion then takes some GB
+_MAX_ROWS = 10_000_000
 _POSITIONS = {
     "geometry_msgs/msg/PointStamped": "point",
     "geometry_msgs/msg/PoseStamped": "pose.position",
@@ -61,7 +59,7 @@ class Laid(NamedTuple):
 
 
 def laid_under(
-    times: Array, values: Array, nominal: Array, period: float, counts: Mask, what: str
+    times: Array, values: Array, nominal: Array, path: TrajectoryPath, what: str
 ) -> Laid:
     """Find the time at which a nominal motion runs in a record, and return the record at its set-points.
 
@@ -69,10 +67,11 @@ def laid_under(
         times: of the record, s, increasing, shape (m,).
         values: shape (m, d).
         nominal: motion, shape (n, d).
-        period: of its set-points, s.
-        counts: which of them must be in the record, shape (n,).
+        path: to which it belongs; its counted set-points must be in the record.
         what: name of the record, for refusals.
     """
+    period = path.period
+    counts = path.counts
     if len(times) < 2 or not (np.diff(times) > 0.0).all() or not np.isfinite(values).all():
         raise ConfigError(
             f"{what}: {counted(len(times), 'row')}; accepted: two or more, finite, with increasing times"
@@ -136,39 +135,23 @@ def joints_of_bag(
     contain the offsets, which are then None.
     """
     names = setup.robot.joint_names
-    reference_positions = nominal.setpoints[:, 0]
+    asked = nominal.setpoints[:, 0]
+    tracking = None
     try:
-        reference = read_joint_states(bag, REFERENCE, names)
+        series = read_joint_states(bag, REFERENCE, names)
         tracking = read_joint_states(bag, TRACKING, names)
     except BagError:
         series = read_joint_states(bag, topic, names)
-        if series.position is None:
-            raise BagError(
-                f"{plain(bag)}: {topic} without positions; accepted: joint positions"
-            ) from None
-        laid = laid_under(
-            series.time,
-            series.position,
-            reference_positions,
-            nominal.period,
-            nominal.counts,
-            plain(bag),
-        )
+    if series.position is None:
+        raise BagError(f"{plain(bag)}: {series.topic} without positions; accepted: joint positions")
+    laid = laid_under(series.time, series.position, asked, nominal, plain(bag))
+    if tracking is None:
         return (
-            reference_positions - laid.values,
+            asked - laid.values,
             None,
             f"{topic}, begun at {laid.shift:.6f} s of its time, {laid.difference:.2%} apart",
         )
-    assert reference.position is not None
     assert tracking.position is not None
-    laid = laid_under(
-        reference.time,
-        reference.position,
-        reference_positions,
-        nominal.period,
-        nominal.counts,
-        plain(bag),
-    )
     added = np.zeros_like(tracking.position)
     with suppress(BagError):  # no such topic, or no message on it: no correction was played
         played = read_joint_states(bag, CORRECTION, names)
@@ -177,9 +160,7 @@ def joints_of_bag(
         added[both.rows_a] = played.position[both.rows_b]
     first = round(laid.shift / nominal.period)
     ticks = np.round(tracking.time / nominal.period).astype(np.int64)
-    rows = np.clip(
-        np.searchsorted(ticks, first + np.arange(len(reference_positions))), 0, len(ticks) - 1
-    )
+    rows = np.clip(np.searchsorted(ticks, first + np.arange(len(asked))), 0, len(ticks) - 1)
     source = f"the controller's set-points, begun at {first * nominal.period:.6f} s"
     return (tracking.position - added)[rows], added[rows], source
 
@@ -196,9 +177,7 @@ def tip_of_file(
         The error, and how it was found.
     """
     rows = _table(Path(file)) if topic is None else _topic(file, topic)
-    laid = laid_under(
-        rows[:, 0], rows[:, 1:], nominal.tip, nominal.period, nominal.counts, plain(file)
-    )
+    laid = laid_under(rows[:, 0], rows[:, 1:], nominal.tip, nominal, plain(file))
     return (
         nominal.tip - laid.values,
         f"tip of {plain(file)}, begun at {laid.shift:.6f} s of its time",

@@ -32,9 +32,8 @@ _MOST_FRAMES = 400
 _FRAME_RATE = 50.0  # Hz
 _ELEVATION = math.radians(20.0)  # of the eye
 _AZIMUTH = math.radians(-50.0)  # from the normal of the line
-_MAX_DEVIATION_SHARE = (
-    0.12  # share of the picture's height that the largest deviation is drawn as, at most
-)
+# share of the picture's height that the largest deviation is drawn as, at most
+_MAX_DEVIATION_SHARE = 0.12
 _CIRCLE_CORNERS = 20  # of what stands for a circle
 
 

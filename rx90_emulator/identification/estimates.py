@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import quoted
+from rx90_common.estimation.law import Part
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import LUGRE_PASSIVITY
 from rx90_common.friction.parts.part import MIN_SPEED
+from rx90_emulator.identification.options import COULOMB_VISCOUS, MODEL_PARTS
 from rx90_emulator.identification.records import BagSource
 
 SLIDING = (
@@ -170,3 +174,12 @@ class IdentifiedElement:
     element: FrictionElement
     estimates: Mapping[str, ParameterEstimate]
     sources: Mapping[str, tuple[BagSource, ...]]
+
+
+def model_parts(model: Sequence[str], accepted: Sequence[str] = MODEL_PARTS) -> tuple[Part, ...]:
+    """Return the parts of a model beside Coulomb and viscous friction, which every model has."""
+    unknown = [name for name in model if name not in (COULOMB_VISCOUS, *accepted)]
+    if unknown or not model:
+        wrong = quoted(unknown[0]) if unknown else "no part"
+        raise ConfigError(f"--model: {wrong}; accepted: {', '.join((COULOMB_VISCOUS, *accepted))}")
+    return tuple(part for part in Part if part.value in model)

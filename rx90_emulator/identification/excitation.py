@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_common.estimation.law import Part
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.bodies import make_consistent, written_arm
+from rx90_emulator.identification.estimates import model_parts
 from rx90_emulator.identification.fitted import (
     TRIED,
     FittedArm,
@@ -37,7 +37,6 @@ from rx90_emulator.identification.options import (
     GivenTolerances,
     RobotOptions,
     ValidationTolerances,
-    model_parts,
 )
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.result import ExcitationIdentification, base_parameters
@@ -69,7 +68,6 @@ def identify_excitation(
     validation: Sequence[Path | str] = (),
     tolerances: GivenTolerances = NO_TOLERANCES,
     *,
-    bristles: bool = False,
     model: Sequence[str] | None = None,
     rotors: bool = True,
     bandwidth: float | None = None,
@@ -84,7 +82,6 @@ def identify_excitation(
         robot: that the bags come from; by default this project's.
         validation: runs to predict, which the identification does not use.
         tolerances: limits for agreement with them, all or some by name; the others are those of RECORDED.
-        bristles: whether they are tried where no Stribeck rise was found, too.
         model: parts that all elements have, without selection: "coulomb-viscous", which every model contains, and the
             names in `options.MODEL_PARTS`; by default parts are selected by prediction. Only a part that ends at a
             bound is dropped.
@@ -110,7 +107,7 @@ def identify_excitation(
     if not by_use["excitation"]:
         raise IdentificationError("no excitation run; accepted: bags of such runs, or their folder")
     check_given_once(by_use)
-    parts = _requested_parts(bristles=bristles, model=model)
+    parts = TRIED if model is None else model_parts(model)
     _check_rotors(robot, rotors=rotors)
     source = RecordedRobot.load(robot, everything, massless=True, follow=True)
     records = read_records(by_use, source, progress, currents=True)
@@ -124,7 +121,7 @@ def identify_excitation(
     given = replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source))
     sanity = alarms(source.arm, Recorded.of(records["excitation"], source.arm), given, source.zero)
     progress("friction")
-    fitted = fit_arm(problem, parts, progress, fixed=model is not None, bristles=bristles)
+    fitted = fit_arm(problem, parts, progress, fixed=model is not None)
     progress("consistent inertias")
     consistency = make_consistent(problem, fitted, source, robot)
     arm = written_arm(problem, consistency)
@@ -215,18 +212,6 @@ def log_warnings(problem: ExcitationProblem, held: Sequence[str] = ()) -> list[s
         text = f"warning: held at 0, though the log has them, for their gears are not known: {', '.join(held)}"
         warnings.append(text)
     return warnings
-
-
-def _requested_parts(*, bristles: bool, model: Sequence[str] | None) -> tuple[Part, ...]:
-    """Return the parts of the friction to try, or those of a model that is given."""
-    if model is None:
-        return TRIED
-    if bristles:
-        raise IdentificationError(
-            "--bristles with --model; accepted: --model with bristle among its parts"
-        )
-    names = model_parts(model)
-    return tuple(part for part in Part if part.value in names)
 
 
 def _check_rotors(robot: RobotOptions, *, rotors: bool) -> None:

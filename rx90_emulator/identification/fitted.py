@@ -167,7 +167,6 @@ def fit_arm(
     progress: Callable[[str], None] = lambda _: None,
     *,
     fixed: bool = False,
-    bristles: bool = False,
 ) -> FittedArm:
     """Fit rigid body and friction together.
 
@@ -176,7 +175,6 @@ def fit_arm(
         parts: to try beside Coulomb and viscous friction.
         progress: called with the name of each part before its trial.
         fixed: whether all elements have the parts, without a choice.
-        bristles: whether they are tried where no Stribeck rise was found, too.
     """
     rows = problem.friction_rows()
     if fixed:
@@ -185,7 +183,7 @@ def fit_arm(
         chosen = without_bound_parts(rows, Choice(tuple(laws), fit_laws(rows, laws), ()))
     else:
         tried = parts if len(problem) >= ROWS_PER_PARAMETER * problem.parameters else ()
-        chosen = choose(rows, tried, [Law()] * len(rows.elements), progress, everywhere=bristles)
+        chosen = choose(rows, tried, [Law()] * len(rows.elements), progress)
     known = law_deviations(rows, chosen.laws, chosen.fit, tried)
     return FittedArm(
         arm=problem.arm,

@@ -25,6 +25,7 @@ from rx90_emulator.identification.estimates import (
     ElementEstimate,
     IdentifiedElement,
     ParameterEstimate,
+    model_parts,
     with_passive_fading,
 )
 from rx90_emulator.identification.experiments.plan import (
@@ -39,7 +40,6 @@ from rx90_emulator.identification.options import (
     SLIDING_PARTS,
     GivenTolerances,
     RobotOptions,
-    model_parts,
 )
 from rx90_emulator.identification.presliding import PreslidingFit, identify_presliding
 from rx90_emulator.identification.records import JointRecord, read_record
@@ -56,9 +56,8 @@ the motion of an arm has no content near 1 kHz."""
 _MAX_TRAVEL_SHARE = 2.0  # of a joint's range: no offset of the zero explains more travel
 _MAX_SPEED_SHARE = 20.0  # of a joint's limit: descriptions state 1 rad/s where an arm does 5
 _LEAST_TRAVEL = 5e-3  # rad, of the joint that moves most
-_MAX_SHARED = (
-    0.02  # of a validation's travel: two runs of a noiseless engine may begin with the same samples
-)
+# of a validation's travel: two runs of a noiseless engine may begin with the same samples
+_MAX_SHARED = 0.02
 
 
 def identify_friction(

@@ -13,21 +13,11 @@ from types import MappingProxyType
 from typing import TypeAlias
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import quoted
 
 COULOMB_VISCOUS = "coulomb-viscous"
 SLIDING_PARTS = ("viscous-exponent", "stribeck-rise")
 MODEL_PARTS = (*SLIDING_PARTS, "bristle")
 """Parts that a friction model may have beside Coulomb and viscous friction, by their names in tables."""
-
-
-def model_parts(model: Sequence[str], accepted: Sequence[str] = MODEL_PARTS) -> tuple[str, ...]:
-    """Return the parts of a model beside Coulomb and viscous friction, which every model has."""
-    unknown = [name for name in model if name not in (COULOMB_VISCOUS, *accepted)]
-    if unknown or not model:
-        wrong = quoted(unknown[0]) if unknown else "no part"
-        raise ConfigError(f"--model: {wrong}; accepted: {', '.join((COULOMB_VISCOUS, *accepted))}")
-    return tuple(name for name in accepted if name in model)
 
 
 @dataclass(frozen=True)

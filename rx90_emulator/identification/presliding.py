@@ -28,16 +28,13 @@ from rx90_emulator.identification.rows.micro_oscillations import (
     find_micro_motions,
 )
 
-_BREAK_AWAY_SHARE = (
-    0.7  # of break-away; beyond it bristles slide, and their torque depends little on c0 and c1
-)
+# of break-away; beyond it bristles slide, and their torque depends little on c0 and c1
+_BREAK_AWAY_SHARE = 0.7
 _MIN_RELATIVE_LOAD = 0.25  # of the strongest motion of a group: fainter ones tell little
 _MAX_MOTIONS_PER_BAG = 3  # of a group
 _PASSES = 3  # each with the noise that the previous one left
-_FLOOR = (
-    0.005,
-    0.01,
-)  # relative deviation of c0 and c1: residuals show neither errors of tau_c, nor of 10 us
+# relative deviation of c0 and c1: residuals show neither errors of tau_c, nor of 10 us
+_FLOOR = (0.005, 0.01)
 _NEARLY_SLIDING = 0.75  # of an element's Coulomb torque: beyond it small errors of the motion deflect bristles far
 _SLIDING_LOAD = 0.95  # of it: bristles slide
 _MAX_MISFIT = 0.3  # of the friction torque

@@ -377,9 +377,8 @@ def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:
     return np.asarray(rows[~spoilt])
 
 
-_LEAST_STEPS = (
-    5.0  # of an encoder between samples, above which it moves too fast to repeat a position
-)
+# of an encoder between samples, above which it moves too fast to repeat a position
+_LEAST_STEPS = 5.0
 
 
 def repeated_samples(position: Array) -> Mask | None:
@@ -450,9 +449,8 @@ def _check_velocity(
     edges = np.arange(0, len(time), size)
     travelled = cumulative_trapezoid(velocity, time, axis=0, initial=0)
     lasting = np.diff(time[edges])
-    whole = (
-        lasting < 2.0 * np.median(lasting) if len(lasting) else np.zeros(0, dtype=np.bool_)
-    )  # no gap in it
+    # no gap in it
+    whole = lasting < 2.0 * np.median(lasting) if len(lasting) else np.zeros(0, dtype=np.bool_)
     distance = np.diff(position[edges], axis=0)[whole]
     integral = np.diff(travelled[edges], axis=0)[whole]
     power = (distance**2).sum(axis=0)

@@ -138,8 +138,12 @@ def _check_sizes(options: MessageOptions, joints: int) -> None:
             raise IdentificationError(
                 f"{_option(name)}: {given}; accepted: {size} for {counted(joints, 'joint')}"
             )
-        if name != "names" and not np.isfinite(values).all():
-            raise IdentificationError(f"{_option(name)}: {list(values)}; accepted: finite numbers")
+        if name == "names":
+            continue
+        if not np.isfinite(values).all() or (name == "rotor_inertia" and min(values) < 0.0):
+            raise IdentificationError(
+                f"{_option(name)}: {list(values)}; accepted: finite numbers, inertias of 0 or more"
+            )
 
 
 def arm_layout(
@@ -344,9 +348,8 @@ class RecordedRobot:
         urdf = Path(options.urdf)
         options = _of_joints(options)
         arm = RigidArm.from_urdf(urdf, options.joints, massless=massless)
-        arm_layout(
-            options.topic or JOINT_STATES, arm.names, options
-        )  # refused before any bag is read
+        # refused before any bag is read
+        arm_layout(options.topic or JOINT_STATES, arm.names, options)
         others = _followed(urdf, arm, options, logs, mapping) if follow else ()
         # The gears of joints that follow are not known.
         followed = others if options.gear is None else ()

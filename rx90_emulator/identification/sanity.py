@@ -271,9 +271,8 @@ class _Trials:
             motion[0][:, list(mistake.motors)] -= mistake.turns
             model = self._fitted(motion)
         residual = model.residual(torques[len(torques) // 2])
-        if mistake.swapped[
-            1
-        ]:  # a joint that rests has little torque, of which any model leaves little
+        # a joint that rests has little torque, of which any model leaves little
+        if mistake.swapped[1]:
             residual = residual * np.maximum(self._size / self._usual(torques), 1.0)[self._joint]
         return motion, torques, residual
 

@@ -23,8 +23,9 @@ from rx90_emulator.identification.estimates import (
     ElementEstimate,
     FrictionCurve,
     ParameterEstimate,
+    model_parts,
 )
-from rx90_emulator.identification.options import SLIDING_PARTS, model_parts
+from rx90_emulator.identification.options import SLIDING_PARTS
 from rx90_emulator.identification.records import BagSource, JointRecord
 from rx90_emulator.identification.rows.plateaus import BagUse
 from rx90_emulator.identification.rows.sweeps import Blocks, SweepRows, find_blocks, sweep_rows
@@ -34,9 +35,8 @@ MIN_SPEEDS = 5
 """Least number of speeds in each direction: four determine the seven parameters of an element, and one more leaves a
 degree of freedom."""
 _SAME_SPEED_RATIO = 1.1  # of speeds, up to which they count as one
-_MOST_DIFFERENCE = (
-    0.1  # deviation of the difference of two Coulomb torques, over their sum, that tells both
-)
+# deviation of the difference of two Coulomb torques, over their sum, that tells both
+_MOST_DIFFERENCE = 0.1
 _MAX_RELATIVE_SD = 0.3  # relative standard deviation up to which a parameter is identifiable
 _LINE_POINTS = 100
 _DOES_NOT_SLIDE = "does not slide at constant velocity; accepted: sweeps in both directions"
@@ -115,9 +115,8 @@ def identify_sliding(
             for law, alone in zip(laws, untold, strict=True)
         ]
         other = fit_laws(rows.friction, even, result.weight, fitted_values(laws, result.x))
-        if (
-            other.at_bound.sum() <= result.at_bound.sum()
-        ):  # else the data contradict, and the deviations say the rest
+        # else the data contradict, and the deviations say the rest
+        if other.at_bound.sum() <= result.at_bound.sum():
             laws = even
             result = other
             spread = deviations(result)
@@ -192,13 +191,12 @@ def _speeds(velocity: Array) -> list[int]:
 
 
 def _laws(
-    rows: SweepRows, shared: Sequence[bool], parts: Sequence[str] | None, *, curved: bool
+    rows: SweepRows, shared: Sequence[bool], parts: Sequence[Part] | None, *, curved: bool
 ) -> tuple[list[Law], Fit]:
     """Return the laws that the rows support by held-out plateaus, with exponents if `curved`, or the given ones."""
     plain = [Law(signed=True, balanced=balanced) for balanced in shared]
     if parts is not None:
-        asked = frozenset(part for part in (Part.STRIBECK, Part.EXPONENT) if part.value in parts)
-        laws = [_shaped(replace(law, parts=asked)) for law in plain]
+        laws = [_shaped(replace(law, parts=frozenset(parts))) for law in plain]
         return laws, fit_laws(rows.friction, laws)
     # With a rise its exponent is free, so that its uncertainty counts in the other parameters.
     rising = [_shaped(law) for law in choose(rows.friction, [Part.STRIBECK], plain).laws]
@@ -235,7 +233,7 @@ class _Element:
     determined: Mask
 
     def estimate(
-        self, speeds: Speeds, parts: Sequence[str] | None, sources: tuple[BagSource, ...]
+        self, speeds: Speeds, parts: Sequence[Part] | None, sources: tuple[BagSource, ...]
     ) -> ElementEstimate:
         """Return the estimates, given the speeds with data, and the parts that were asked for, if any."""
         values, slopes = self.law.natural(self.x)
@@ -246,7 +244,7 @@ class _Element:
         absent = (
             f"no Stribeck effect shows at speeds from {speeds.low:.3g} to {speeds.high:.3g} rad/s"
         )
-        if parts is not None and Part.STRIBECK.value not in parts:
+        if parts is not None and Part.STRIBECK not in parts:
             absent = NOT_IN_MODEL
         estimates = {}
         for name in (*SLIDING, VISCOUS_EXPONENT):

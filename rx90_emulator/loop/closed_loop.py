@@ -226,7 +226,7 @@ def simulate_commands(
     controller = setup.cs7b()
     plant.reset(initial_position)
     controller.reset(plant.motor_states()[0])
-    warm = bool(plant.temperatures.elements) or setup.drives.winding.used
+    warm = bool(plant.constants["parts"]["temperature"]["used"][0]) or setup.drives.winding.used
     fast, slow = empty_series(
         ticks,
         rates.ratio,

@@ -11,18 +11,21 @@ import io
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NoReturn, TypeAlias
+from typing import Annotated, Any, Literal, NoReturn, TypeAlias
 
 import numpy as np
+from pydantic import Field
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ConfigError, warn_caller
+from rx90_common.base.models import FileModel, Triple, quantity
 from rx90_common.base.quoting import counted, plain, quoted
 from rx90_common.base.text_lines import read_bytes, read_lines
 from rx90_common.description.rotations import length, rpy_rotation
+from rx90_controller.lines.task import Angles, radians
 from rx90_controller.paths.curve import KINK, spline_through
 from rx90_controller.paths.path import Segment
 
@@ -42,9 +45,8 @@ _UNEVEN = 0.25  # of the way between two points
 _NEWTON = 3  # steps to the nearest place
 _SLOWEST = 1e-6  # square of the speed by the parameter, which is that along the chords
 _STRAIGHT = 1e-9  # of the length of a spline: how far a straight one may be off its chord
-_CORNER = (
-    0.02  # rad, between secants of a spline before and behind a knot, each over _SECANT of its span
-)
+# rad, between secants of a spline before and behind a knot, each over _SECANT of its span
+_CORNER = 0.02
 _SECANT = 1e-3
 _HEAD = re.compile(r"\s*(\w+)\s*(?:\[\s*(\w+)\s*\])?\s*")
 
@@ -100,27 +102,34 @@ def read_columns(file: Path, names: Sequence[str]) -> tuple[Array, list[str | No
     return np.array(rows, dtype=np.float64).reshape(-1, len(names)), units or [None] * len(names)
 
 
-@dataclass(frozen=True)
-class Drawing:
-    """A file that a path is read from, and where it lies.
+class Drawing(FileModel):
+    """A file with the path: points (.csv) or a drawing (.dxf)."""
 
-    Attributes:
-        file: its name ends with .csv or .dxf.
-        unit: of its numbers, one of UNITS, even if a drawing names another one; None: that the file names.
-        origin: where its origin lies, m.
-        rpy: roll, pitch and yaw of its axes, rad.
-        points: "spline" or "lines" through the points of a CSV file.
-        layer: of a drawing; None for all.
-        zone: m at each corner, less where a neighbour is shorter than twice that.
-    """
+    name: Annotated[str, Field(description="The file, beside this one.")]
+    unit: Annotated[
+        Literal["m", "mm", "cm", "in"] | None, Field(description="Unit of its numbers.")
+    ] = None
+    origin: Annotated[Triple, quantity("m", "Where its origin lies, in base_link.")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
+    rpy_degrees: Annotated[Angles, quantity("deg", "Roll, pitch and yaw of its axes.")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
+    points: Annotated[
+        Literal["lines", "spline"],
+        Field(description="Points of a CSV file as the corners of lines, or on a spline."),
+    ] = "spline"
+    layer: Annotated[str | None, Field(description="Layer of the drawing; all if left out.")] = None
+    zone: Annotated[float, quantity("m", "Zone at each corner.", ge=0.0)] = 0.0
 
-    file: Path
-    unit: str | None = None
-    origin: tuple[float, ...] = (0.0, 0.0, 0.0)
-    rpy: tuple[float, ...] = (0.0, 0.0, 0.0)
-    points: str = "spline"
-    layer: str | None = None
-    zone: float = 0.0
+    @property
+    def file(self) -> Path:
+        """Return where it is."""
+        return Path(self.name)
 
     def read(self) -> tuple[tuple[float, ...], tuple[Segment, ...]]:
         """Return the start, m, and the segments of a path."""
@@ -132,7 +141,7 @@ class Drawing:
         unit, start, segments = self._dxf() if kind == ".dxf" else self._csv()
         if not segments:
             self._refuse("holds no path; accepted: two different points or more")
-        turn = rpy_rotation(self.rpy)
+        turn = rpy_rotation(radians(self.rpy_degrees))
         origin = np.array(self.origin)
 
         def placed(point: Any) -> tuple[float, ...]:
@@ -328,9 +337,8 @@ class Drawing:
             )
         if not np.isfinite(np.array([tuple(point) for point in curve.control_points])).all():
             self._refuse("a spline with a point that is no place; accepted: finite coordinates")
-        knots = sorted(
-            {*known[curve.degree : curve.count + 1]}
-        )  # before and behind these it is not defined
+        # before and behind these it is not defined
+        knots = sorted({*known[curve.degree : curve.count + 1]})
         corners = [
             knot
             for before, knot, after in zip(knots, knots[1:], knots[2:], strict=False)
@@ -405,9 +413,8 @@ def _points(curve: Any, at: Array, unit: float, corner: bool) -> tuple[Array, bo
         points = _places(curve, at)
         if np.abs(points[-1] - points[0]).max() <= _STRAIGHT * np.ptp(points, axis=0).max():
             points[-1] = points[0]
-        moves = np.append(
-            True, np.any(np.diff(points, axis=0), axis=1)
-        )  # a spline may rest on equal control points
+        # a spline may rest on equal control points
+        moves = np.append(True, np.any(np.diff(points, axis=0), axis=1))
         points = points[moves]
         at = at[moves]
         if len(at) < 2:

@@ -35,8 +35,8 @@ class PathAccuracy:
         times: s, shape (n,).
         along: distance from the path's start, measured along it, m, shape (n,).
         perpendicular: distance from the path, m, shape (n,).
-        along_track: how far ahead of its set-point the tip is along the path, m, shape (n,); negative behind it. None
-            where it was not looked for, as the next one.
+        along_track: how far ahead of its set-point the tip is along the path, m, shape (n,); negative behind it. NaN
+            where it is not known.
         orientation: angle between the tool and what the path asks for in that place, rad, shape (n,); of an arm of five
             joints that of the tool's axis.
     """
@@ -44,8 +44,8 @@ class PathAccuracy:
     times: Array
     along: Array
     perpendicular: Array
-    along_track: Array | None = None
-    orientation: Array | None = None
+    along_track: Array
+    orientation: Array
 
     @property
     def worst(self) -> float:
@@ -59,17 +59,13 @@ class PathAccuracy:
 
     @property
     def worst_along_track(self) -> float:
-        """Return the largest distance from the set-point along the path, m; NaN where it was not looked for."""
-        return (
-            math.nan
-            if self.along_track is None
-            else float(np.abs(self.along_track).max(initial=0.0))
-        )
+        """Return the largest distance from the set-point along the path, m; NaN where it is not known."""
+        return float(np.abs(self.along_track).max(initial=0.0))
 
     @property
     def worst_orientation(self) -> float:
-        """Return the largest angle of the tool from its orientation, rad; NaN where it was not looked for."""
-        return math.nan if self.orientation is None else float(self.orientation.max(initial=0.0))
+        """Return the largest angle of the tool from its orientation, rad."""
+        return float(self.orientation.max(initial=0.0))
 
     @property
     def words(self) -> str:
@@ -186,9 +182,7 @@ def run_path(
         setup, (command,), points.position[0], end, substeps=substeps, record_fast=record_fast
     )
     task = path if isinstance(path, LineTask) else plan.task
-    return LineRun(
-        run.setup, run.fast, run.slow, run.saturated, run.commands, run.substeps, task, start_time
-    )
+    return LineRun(**vars(run), task=task, start_time=start_time)
 
 
 def path_accuracy(

@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.arrays import Array, Record
-from rx90_common.base.errors import ConfigError, FailureError, check_type
+from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.topics import JOINT_COMMANDS, MEASURED_JOINT_STATES
 from rx90_common.kernels.compiled import kernel
-from rx90_emulator.loop.result import series_of
+from rx90_emulator.loop.result import series_of, within_memory
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import JointInterface
 from rx90_sim.plant_step import friction_states, plant_step
@@ -150,16 +150,12 @@ def run_controller(
     joints = JointInterface(plant, rates, command_hz)
     rows = -(-ticks // rates.ratio)
     calls = -(-ticks // joints.ticks)
-    try:
+    with within_memory(ticks):
         joint_rows = np.empty((rows, 3, n))
         friction_rows = np.empty((rows, 3, len(setup.friction.names)))
         measured = np.empty((calls, 3, n))
         efforts = np.zeros((calls, n))
         powered = np.zeros(calls, dtype=np.bool_)
-    except MemoryError as error:
-        raise FailureError(
-            f"a run of {ticks:g} ticks does not fit into memory; accepted: a shorter one"
-        ) from error
     no_torque = np.zeros(n)
     for k in range(calls):
         measured[k] = joints.measure()
@@ -201,9 +197,8 @@ def _checked(answer: ArrayLike, joints: int, time: float) -> Array:
 BANDWIDTH: Final = 40.0
 """Of the error's critically damped decay, rad/s."""
 _TABLE_ROWS = 5000  # rows for each sign of the velocity
-_FULL_COMPENSATION_SPEED = (
-    0.002  # rad/s of the set-point at which the friction is compensated in full
-)
+# rad/s of the set-point at which the friction is compensated in full
+_FULL_COMPENSATION_SPEED = 0.002
 
 
 class ComputedTorque:
@@ -227,9 +222,8 @@ class ComputedTorque:
     def __init__(
         self, setup: Setup, amplitude: float = 0.3, period: float = 4.0, *, friction: bool = True
     ) -> None:
-        from rx90_emulator.identification.arm import (
-            RigidArm,
-        )  # brings Pinocchio, which other controllers do without
+        # brings Pinocchio, which other controllers do without
+        from rx90_emulator.identification.arm import RigidArm
 
         self._arm = RigidArm.from_setup(setup)
         self._half = 0.5 * amplitude

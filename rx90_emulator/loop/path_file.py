@@ -119,43 +119,6 @@ class SegmentMotion(OneOf):
         return Segment((self.arc.end,), "arc", self.arc.center, **motion)
 
 
-class DrawingFile(FileModel):
-    """A file with the path: points (.csv) or a drawing (.dxf)."""
-
-    name: Annotated[str, Field(description="The file, beside this one.")]
-    unit: Annotated[
-        Literal["m", "mm", "cm", "in"] | None, Field(description="Unit of its numbers.")
-    ] = None
-    origin: Annotated[Triple, quantity("m", "Where its origin lies, in base_link.")] = (
-        0.0,
-        0.0,
-        0.0,
-    )
-    rpy_degrees: Annotated[Angles, quantity("deg", "Roll, pitch and yaw of its axes.")] = (
-        0.0,
-        0.0,
-        0.0,
-    )
-    points: Annotated[
-        Literal["lines", "spline"],
-        Field(description="Points of a CSV file as the corners of lines, or on a spline."),
-    ] = "spline"
-    layer: Annotated[str | None, Field(description="Layer of the drawing; all if left out.")] = None
-    zone: Annotated[float, quantity("m", "Zone at each corner.", ge=0.0)] = 0.0
-
-    def drawing(self, folder: FilePath) -> Drawing:
-        """Return the file that the path is read from."""
-        return Drawing(
-            folder / self.name,
-            self.unit,
-            self.origin,
-            radians(self.rpy_degrees),
-            self.points,
-            self.layer,
-            self.zone,
-        )
-
-
 class PathMotion(OneOf, TipMotion):
     """The path and the motion along it."""
 
@@ -170,7 +133,7 @@ class PathMotion(OneOf, TipMotion):
             description="Lines, arcs and splines, each from the end of the one before it.",
         ),
     ] = None
-    file: DrawingFile | None = None
+    file: Drawing | None = None
     jerk: Annotated[
         float | None,
         quantity(
@@ -217,7 +180,8 @@ class PathFile(FileModel):
             start = motion.start
             segments = tuple(part.segment() for part in motion.segments or ())
             if motion.file is not None:
-                start, segments = motion.file.drawing(file.parent).read()
+                drawing = motion.file.replaced(name=str(file.parent / motion.file.name))
+                start, segments = drawing.read()
             assert start is not None
             return Path(
                 start,

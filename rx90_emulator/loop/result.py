@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -89,21 +91,28 @@ def empty_series(
     rows = -(-ticks // ratio)
     fast_rows = ticks * record_fast
     warm_rows = -(-ticks // warm_ticks) if warm_ticks else 0
-    try:
+    with within_memory(ticks):
         fast = FastSeries(np.empty((fast_rows, 3, n)), np.empty((fast_rows, n)))
         of_joints = (np.empty((rows, 3, columns)) for columns in (n, e, n, n, n))
         slow = SlowSeries(
             *of_joints, np.empty((warm_rows, e)), np.empty((warm_rows, n)), np.empty((0, n))
         )  # type: ignore[call-arg]
+    return fast, slow
+
+
+@contextmanager
+def within_memory(ticks: int) -> Iterator[None]:
+    """Let the arrays of a run that are made in a block be refused where they do not fit into memory."""
+    try:
+        yield
     except (
         MemoryError,
         ValueError,
         OverflowError,
-    ) as error:  # the last two: more than any machine could address
+    ) as error:  # of more than any machine could address
         raise FailureError(
             f"a run of {ticks:g} ticks does not fit into memory; accepted: a shorter one"
         ) from error
-    return fast, slow
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,11 +180,7 @@ class RunResult:
 def series_of(topic: str, names: tuple[str, ...], rows: Array, period_ns: int) -> JointSeries:
     """Return a series of rows of position, velocity, effort, shape (n, 3, m), or of efforts alone, shape (n, m)."""
     values = (None, None, rows) if rows.ndim == 2 else np.moveaxis(rows, 1, 0)
-    return JointSeries(f"/{topic}", names, _stamps(rows, period_ns), *values)
-
-
-def _stamps(rows: Array, period_ns: int) -> NDArray[np.int64]:
-    return np.arange(len(rows), dtype=np.int64) * period_ns
+    return JointSeries(f"/{topic}", names, np.arange(len(rows)) * period_ns, *values)
 
 
 def write_bag(run: RunResult, path: Path | str, decimation: int = 1) -> None:

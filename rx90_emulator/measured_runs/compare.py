@@ -44,10 +44,10 @@ from rx90_emulator.identification.rows.filtering import (
     low_pass_taps,
 )
 from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest
-from rx90_emulator.loop.closed_loop import run_setpoints
+from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.line import PathAccuracy, followed_accuracy
 from rx90_emulator.loop.recorded_setup import check_robot
-from rx90_emulator.loop.result import FastSeries, SlowSeries, empty_series
+from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.measured_runs.options import MeasuredTolerances
 
@@ -128,7 +128,7 @@ class MeasuredComparison:
     lag: float
     bandwidths: Bandwidths
     setpoints: str
-    paths: tuple[PathAccuracy, PathAccuracy]
+    paths: Sequence[PathAccuracy]
     saturated: Array
     remarks: tuple[str, ...]
     tolerances: MeasuredTolerances
@@ -166,9 +166,8 @@ class MeasuredComparison:
 
 _MAX_BANDWIDTH_SHARE = 0.3  # largest bandwidth of the set-points over the rate of the position loop
 _MAX_LAG_S = 0.1  # s, largest lag or lead of the simulated motion
-_MIN_TRAVEL = (
-    2e-3  # rad, several times the presliding travel of a joint; a joint that moves less is at rest
-)
+# rad, several times the presliding travel of a joint; a joint that moves less is at rest
+_MIN_TRAVEL = 2e-3
 _LAG_ROUNDS = 4  # iterations of the search for the lag
 _DEFAULT_LAYOUT = MeasuredLayout()
 _DEFAULT_TOLERANCES = MeasuredTolerances()
@@ -237,9 +236,8 @@ def compare_measured(
     simulated, begin, end, saturated = _simulated(setup, setpoints, run)
     progress("comparison")
     time = run.time[run.rows]
-    rows = (time >= begin + _MAX_LAG_S) & (
-        time <= end - _MAX_LAG_S
-    )  # covered for any lag of the simulated arm
+    # covered for any lag of the simulated arm
+    rows = (time >= begin + _MAX_LAG_S) & (time <= end - _MAX_LAG_S)
     if not rows.any():
         raise IdentificationError(
             "measured and simulated run have no time in common; accepted: a longer bag"
@@ -255,15 +253,14 @@ def compare_measured(
         lag -= float(np.sum(difference * velocity)) / float(np.sum(velocity**2))
         lag = float(np.clip(lag, -_MAX_LAG_S, _MAX_LAG_S))
     follows = np.asarray(simulated(time + lag - setpoints.start))
-    when = (
-        np.arange(len(setpoints.values), dtype=np.float64) * setup.rates.position_period
-    )  # since the first of them
-    measured_path = followed_accuracy(
-        setup.robot, time - setpoints.start, measured[:, 0], when, setpoints.values[:, 0]
-    )
-    simulated_path = followed_accuracy(
-        setup.robot, time - setpoints.start, follows[:, 0], when, setpoints.values[:, 0]
-    )
+    # since the first of them
+    when = np.arange(len(setpoints.values), dtype=np.float64) * setup.rates.position_period
+    paths = [
+        followed_accuracy(
+            setup.robot, time - setpoints.start, arm[:, 0], when, setpoints.values[:, 0]
+        )
+        for arm in (measured, follows)
+    ]
     return MeasuredComparison(
         names=run.names,
         robot=setup.robot.model.name,
@@ -274,7 +271,7 @@ def compare_measured(
         lag=lag,
         bandwidths=run.bandwidths,
         setpoints=setpoints.source,
-        paths=(measured_path, simulated_path),
+        paths=paths,
         saturated=saturated,
         remarks=(*beyond, *_remarks(record, pieces, run)),
         tolerances=tolerances,
@@ -429,15 +426,13 @@ def _simulated(
     # Sampled at the measured rate: aliasing by slow sampling is then the same on both sides.
     rates = setup.rates
     often = run.rate > 1.5 * setup.rates.position_hz
-    fast, slow, saturated = run_along(
-        setup, setpoints.values, setpoints.initial_position, record_fast=often
-    )
-    values = slow.joint_states[:, ::2]
+    simulated = run_along(setup, setpoints.values, setpoints.initial_position, record_fast=often)
+    values = simulated.slow.joint_states[:, ::2]
     rate = float(rates.base_hz if often else rates.position_hz)
-    if often:
+    if simulated.fast is not None:
         turns = setup.drives.gear[:, None] * setup.drives.turning.turns
-        position = fast.motor_states[:, 0] @ np.linalg.inv(turns).T
-        values = np.stack([position, fast.motor_states[:, 2] @ turns], axis=1)
+        position = simulated.fast.motor_states[:, 0] @ np.linalg.inv(turns).T
+        values = np.stack([position, simulated.fast.motor_states[:, 2] @ turns], axis=1)
     taps = low_pass_taps(rate, run.bandwidths.torque)
     filtered = low_pass(values, taps)
     if len(filtered) < 4:
@@ -447,6 +442,7 @@ def _simulated(
     since = (len(taps) // 2 + np.arange(len(filtered))) / rate
     begin = setpoints.start + float(since[0])
     end = setpoints.start + float(since[-1])
+    saturated = simulated.saturated / (len(setpoints.values) * rates.ratio)
     return make_interp_spline(since, filtered, k=3), max(begin, setpoints.begin), end, saturated
 
 
@@ -455,9 +451,8 @@ def _remarks(
 ) -> tuple[str, ...]:
     """Return which parts of the bag are not compared, and why."""
     found = []
-    cut = 2.0 * (
-        1.5 / run.bandwidths.position + 12.0 / run.rate
-    )  # cut off by the filters at both ends
+    # cut off by the filters at both ends
+    cut = 2.0 * (1.5 / run.bandwidths.position + 12.0 / run.rate)
     if (
         len(pieces) > 1
         or record.time[-1] - record.time[0] - (run.time[-1] - run.time[0]) > 1.5 * cut
@@ -503,20 +498,9 @@ def setpoint_rows(position: Array, velocity: Array, setup: Setup) -> Array:
 
 def run_along(
     setup: Setup, setpoints: Array, start: Array, *, record_fast: bool = False
-) -> tuple[FastSeries, SlowSeries, Array]:
-    """Run the closed loop along set-points, shape (m, 3, n), from rest at `start`, rad, shape (n,).
-
-    Returns:
-        The records at the base rate and at the position loop's rate, and the share of the ticks in which each motor was
-        at its limit, shape (n,).
-    """
-    ticks = len(setpoints) * setup.rates.ratio
-    plant = setup.plant()
-    controller = setup.cs7b()
-    plant.reset(start)
-    controller.reset(plant.motor_states()[0])
-    fast, slow = empty_series(
-        ticks, setup.rates.ratio, record_fast=record_fast, arm=setup.drives.turning.size
+) -> RunResult:
+    """Run the closed loop along set-points, shape (m, 3, n), from rest at `start`, rad, shape (n,)."""
+    duration = len(setpoints) * setup.rates.position_period
+    return simulate_commands(
+        setup, (), start, duration, record_fast=record_fast, warn=False, sample=lambda *_: setpoints
     )
-    run_setpoints(plant, controller, setpoints, ticks, fast, slow)
-    return fast, slow, np.asarray(controller.saturated / ticks)

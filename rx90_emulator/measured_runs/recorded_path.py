@@ -72,12 +72,12 @@ def recorded_accuracy(
 
 def _arm_topic(bag: Path, mapping: LogMapping | None) -> str:
     for wanted in (JOINT_STATES, MOTOR_STATES):
+        # What is sampled is the same once more, for those who look on.
         topics = [
-            topic for topic in topic_names(bag, mapping) if topic.rpartition("/")[2] == wanted
+            topic
+            for topic in topic_names(bag, mapping)
+            if topic.endswith(f"/{wanted}") and f"/{SAMPLED}/" not in topic
         ]
-        topics = [
-            topic for topic in topics if f"/{SAMPLED}/" not in topic
-        ]  # the same once more, for those who look on
         if len(topics) > 1:
             raise BagError(
                 f"{plain(bag)}: holds several arms, {listed(sorted(topics))}; accepted: a bag of one arm"
@@ -91,9 +91,10 @@ def _setpoint_topic(bag: Path, arm: str, mapping: LogMapping | None) -> str | No
     """Return the topic of set-points in the arm's namespace, or below it."""
     namespace = arm.rpartition("/")[0]
     topics = [
-        topic for topic in topic_names(bag, mapping) if topic.rpartition("/")[2] == _SET_POINTS
+        topic
+        for topic in topic_names(bag, mapping)
+        if topic.startswith(f"{namespace}/") and topic.endswith(f"/{_SET_POINTS}")
     ]
-    topics = [topic for topic in topics if topic.startswith(f"{namespace}/")]
     return min(topics, key=lambda topic: topic.count("/"), default=None)
 
 

@@ -73,10 +73,7 @@ class SweepFigures:
 
 
 def _numbers(column: pa.ChunkedArray) -> Array:
-    numbers = pc.cast(
-        pc.cast(column, pa.int8()) if pa.types.is_boolean(column.type) else column, pa.float64()
-    )
-    return np.asarray(numbers.fill_null(np.nan).to_numpy(), dtype=np.float64)
+    return np.asarray(pc.cast(column, pa.float64()).fill_null(np.nan).to_numpy())
 
 
 def _column(table: pa.Table, field: pa.Field) -> SweptColumn:

@@ -147,8 +147,7 @@ def read_sweep(file: Path | str) -> pa.Table:
             raise SweepError(
                 f"{source}: cannot be read as Parquet ({reason}); accepted: {accepted}"
             ) from error
-    for table, source in zip(tables, sources, strict=True):
-        about(table.schema, source)
+        about(tables[-1].schema, source)
     table = pa.concat_tables(tables)
     # A kill between gathering the parts and removing them leaves runs twice.
     _, first = np.unique(table["index"].to_numpy(), return_index=True)
@@ -196,10 +195,10 @@ class ResultStore:
     def _take_up(self) -> None:
         table = read_sweep(self.file)
         written = about(table.schema, self.file)
-        for key in ("identity", "sources", "versions"):
+        for key, name in _NAMES.items():
             own = getattr(self._sweep, key)
             if written[key] != own:
-                what = f"{self.file} has other {_NAMES[key]}: {written[key]}, not {own}"
+                what = f"{self.file} has other {name}: {written[key]}, not {own}"
                 raise SweepError(f"{what}; accepted: the same, or another output")
         self.done[table["index"].to_numpy()] = True
 

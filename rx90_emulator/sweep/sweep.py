@@ -27,9 +27,8 @@ from rx90_emulator.sweep.plan import SweepPlan, plan_hash
 from rx90_emulator.sweep.runs import RunDescription, RunList
 
 PLANNED_LINES = 64
-_ORIENTATION_STRIDE = (
-    10  # position ticks: the orientation costs as much as all else; its peak is 0.2 % less
-)
+# position ticks: the orientation costs as much as all else; its peak is 0.2 % less
+_ORIENTATION_STRIDE = 10
 _KEPT_SETPOINTS = 4
 _Key = TypeVar("_Key")
 _Kept = TypeVar("_Kept")
@@ -165,13 +164,14 @@ class Sweep:
             ConfigError, LineError: naming file or parameter, value and what is accepted.
         """
         self.plan = plan
-        self.setup = Setup.load(plan.base.files, plan.base.rates)
-        self.task = load_motion(plan.base.files.required("task"))
+        files = plan.base.files
+        self.setup = Setup.load(files, plan.base.rates)
+        self.task = load_motion(files.required("task"))
         self.description = plan.description()
         self.identity = plan_hash(self.description)
         self.versions = versions()
         self.sources = run_hash()
-        self.provenance = provenance_of(plan.base.files)
+        self.provenance = provenance_of(files)
         self.metrics = metrics_of(self.setup.robot.joint_names, self.setup.friction.names)
         self.runs = RunList(plan, Catalogue(self.setup, self.task))
         taken = {*RUN_COLUMNS, *(metric.name for metric in self.metrics)}

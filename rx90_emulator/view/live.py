@@ -20,9 +20,8 @@ from rx90_controller.lines.task import TipTask
 from rx90_emulator.view.page import Page, block
 from rx90_emulator.view.scene import ArmScene, LineScene, legend_html
 
-_STALE = (
-    2.5  # s; the samples of a simulation come again four times a second while time stands still
-)
+# s; the samples of a simulation come again four times a second while time stands still
+_STALE = 2.5
 _PACE_WINDOW = 2.0  # s
 _LEAST_WINDOW = 0.5  # s, of a pace: messages that waited come together
 _POSE_PERIOD = 1.0 / 30.0  # s

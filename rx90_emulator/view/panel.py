@@ -200,9 +200,8 @@ class ControlPanel:
 
         async def hand_over(event: viser.GuiEvent[Any]) -> None:
             value = event.target.value
-            if event.client_id in self._sliders and accepts(
-                value
-            ):  # None: the page has moved a slider
+            # None: the page has moved a slider
+            if event.client_id in self._sliders and accepts(value):
                 self._page.later(partial(function, value))
 
         return hand_over

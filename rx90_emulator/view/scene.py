@@ -130,9 +130,8 @@ def legend_html() -> str:
 
 
 _END_TOLERANCE = 1e-4  # m; a motion that begins and ends so near the line's ends, and keeps so near, is one along it
-_CHORD_TOLERANCE = (
-    0.05  # of its length; between the points of its trajectory it is longer than the straight way
-)
+# of its length; between the points of its trajectory it is longer than the straight way
+_CHORD_TOLERANCE = 0.05
 _DURATION_TOLERANCE = 5e-3  # s that a motion may take longer than the line's own: the same speeds
 _PATH_STEP = 5e-3  # m between points of a path that is drawn
 _START_ZONE = 0.01  # m; in these a motion that follows another one bends the bristles back
@@ -182,9 +181,8 @@ class LineScene:
         self._span = _NO_SPAN
         self._asked = np.zeros((2, 1))
         self._begin = np.nan
-        self._rows = np.empty(
-            (0, 4)
-        )  # time, distance along the line, path error, orientation error
+        # time, distance along the line, path error, orientation error
+        self._rows = np.empty((0, 4))
         self.clear()
 
     def clear(self) -> None:
@@ -255,9 +253,7 @@ class LineScene:
             at = self._rows[:, 0]
             when, along, across, angle = self._rows[(at >= self._span[0]) & (at <= self._span[1])].T
             ahead = along - self._task.profile().sample(when - self._begin).distance
-            self.run = PathAccuracy(
-                when, along, across, None if np.isnan(self._begin) else ahead, angle
-            )
+            self.run = PathAccuracy(when, along, across, ahead, angle)
         else:
             self._rows = self._rows[-_KEPT_BEFORE:]
         errors = np.where(counted, error.perpendicular, np.nan)

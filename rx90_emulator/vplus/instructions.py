@@ -73,9 +73,8 @@ def _choose_case(task: Task, value: Value) -> None:
     task.jump()
     for place in task.step.branches:
         step = task.frame.program.steps[place]
-        offered = step.instruction.arguments if step.instruction is not None else ()
         if step.word == "ANY" or value in [
-            task.taken("folded", part) for part in offered if step.word == "VALUE"
+            task.taken("folded", part) for part in step.arguments if step.word == "VALUE"
         ]:
             task.frame.place = place + 1
             return
@@ -86,7 +85,7 @@ def _return(task: Task) -> None:
 
 
 def _stop(task: Task) -> None:
-    task.halted = task.line.word == "HALT"
+    task.halted = task.step.word == "HALT"
     task.frames.clear()
 
 
@@ -185,7 +184,7 @@ def _issue(task: Task, end: Array, **instead: float) -> Waits:
 
 def _motion(task: Task, end: Array) -> Motion:
     where = f"{task.frame.program.name}:{task.step.line}"
-    return Motion(task.line.word, where, task.queue.destination, end, tool=task.tool)
+    return Motion(task.step.word, where, task.queue.destination, end, tool=task.tool)
 
 
 def _give(task: Task, motion: Motion) -> Waits:
@@ -200,7 +199,7 @@ def _move(task: Task, target: Array | Joints, hand: float | None = None) -> Wait
         _set_hand(task, "O" if hand > 0.0 else "C")
     if isinstance(target, Joints):
         return _issue(task, task.arm.angles(target))
-    return _issue(task, task.solve(target, keep=task.line.word in _STRAIGHT))
+    return _issue(task, task.solve(target, keep=task.step.word in _STRAIGHT))
 
 
 def _approach(task: Task, target: Array | Joints, distance: float) -> Waits:
@@ -247,24 +246,24 @@ def _delay(task: Task, seconds: float) -> Waits:
 
 def _choose(task: Task, **values: float) -> None:
     """Let values hold for the next motion or, with ALWAYS, for all."""
-    (task.always if "ALWAYS" in task.line.modifiers else task.next).update(values)
+    (task.always if "ALWAYS" in task.step.modifiers else task.next).update(values)
 
 
 def _switch_choice(task: Task) -> None:
-    _choose(task, **dict([_SWITCHED[task.line.word]]))
+    _choose(task, **dict([_SWITCHED[task.step.word]]))
 
 
 def _set_tolerance(task: Task, percent: float = 100.0) -> None:
-    _choose(task, FINE=percent * (1.0 if task.line.word == "FINE" else 10.0))
+    _choose(task, FINE=percent * (1.0 if task.step.word == "FINE" else 10.0))
 
 
 def _set_speed(task: Task, speed: float, rotary: float | None = None) -> None:
     """Set the program speed, in percent or in mm or inches a second, or the monitor speed."""
-    units = [unit for word, unit in _UNITS.items() if word in task.line.modifiers]
+    units = [unit for word, unit in _UNITS.items() if word in task.step.modifiers]
     if units:
         speed *= 100.0 * units[0] / task.arm.full.linear_speed
     percent = task.taken("percent", speed)
-    if "MONITOR" in task.line.modifiers:
+    if "MONITOR" in task.step.modifiers:
         task.queue.monitor = min(percent, 100.0)
     else:
         _choose(task, SPEED=percent, ROTARY=rotary or (task.always["ROTARY"] if units else percent))
@@ -282,7 +281,7 @@ def _set_profile(task: Task, profile: float | None, *ramps: float | None) -> Non
 
 def _configure(task: Task) -> None:
     """Ask for a configuration at the next motion that is no line."""
-    task.wanted |= _CONFIGURATIONS[task.line.word]
+    task.wanted |= _CONFIGURATIONS[task.step.word]
 
 
 # Signals and time.
@@ -290,12 +289,12 @@ def _configure(task: Task) -> None:
 
 def _set_hand(task: Task, state: str = "") -> None:
     """Set the hand when the next motion begins."""
-    task.at_start.append(partial(task.cell.switch, *_HAND[state or task.line.word[0]]))
+    task.at_start.append(partial(task.cell.switch, *_HAND[state or task.step.word[0]]))
 
 
 def _set_hand_now(task: Task) -> Waits:
     """Set the hand when this motion has ended, and wait."""
-    word = task.line.word
+    word = task.step.word
     yield from _break(task)
     task.cell.switch(*_HAND[word[0]])
     yield from _wait_event(task, None, task.hand_time)
@@ -331,7 +330,7 @@ def _set_timer(task: Task, value: float, number: int) -> None:
 def _react(task: Task, signal: int, name: str, priority: float = 1.0) -> None:
     """Call a program when a signal changes; REACTI ends the motion, too."""
     task.program(name)
-    stops = task.line.word == "REACTI"
+    stops = task.step.word == "REACTI"
     task.reactions[signal] = Reaction(name, priority, stops, task.cell.is_on(signal))
 
 
@@ -349,7 +348,7 @@ def _lock(task: Task, priority: float) -> None:
 
 def _set_switches(task: Task, *names: str) -> None:
     task.switches = (
-        task.switches | set(names) if task.line.word == "ENABLE" else task.switches - set(names)
+        task.switches | set(names) if task.step.word == "ENABLE" else task.switches - set(names)
     )
 
 
@@ -373,7 +372,7 @@ def _ask(task: Task, question: str, *targets: Cell) -> Waits:
         answer = task.cell.ask(question)
     except EOFError:
         raise VplusError(
-            "Unexpected end of file", f"no line of input for {task.line.word}"
+            "Unexpected end of file", f"no line of input for {task.step.word}"
         ) from None
     while answer is None:
         yield "a line of input"

@@ -1,6 +1,7 @@
 """The monitor of V+: the dot prompt on a serial line, its commands, and the programs that it runs.
 
-A command is a generator: it yields lines to show, a question (`Ask`), whose answer it gets, or None to wait for a beat.
+The monitor is a dialogue, a generator: it yields lines to show, a question (`Ask`) whose answer it gets, or None to
+wait for a beat. The dot is its question for the next command.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from rx90_emulator.vplus.instructions import CONTROL
 from rx90_emulator.vplus.program import load_programs, parse_line, read
 from rx90_emulator.vplus.task import OF_EXECUTE, Frame, Task, Waits
 from rx90_emulator.vplus.transformations import six_numbers, trans
-from rx90_emulator.vplus.tree import Memory, Program, Step
+from rx90_emulator.vplus.tree import Memory, Program
 from rx90_emulator.vplus.values import Cell as Variable
 from rx90_emulator.vplus.values import Joints, LoadError, Value, VplusError, element, plain_name
 
@@ -74,7 +75,7 @@ class Monitor:
         self.call: tuple[Any, ...] = ()
         self.cycles = 0
         self._send = send
-        self._dialogue: Dialogue | None = None
+        self._dialogue = self._commands()
         self._asks = False
         self._reads = False
         self._answer: str | None = None
@@ -83,11 +84,12 @@ class Monitor:
         self._lines: list[str] = []
         cell.show = lambda text, _, ends: send(f"{text}\r\n" if ends else text)
         cell.ask = self._ask
+        self._go_on(None)
 
     @property
     def is_busy(self) -> bool:
         """Return whether a command runs that takes no line."""
-        return self._dialogue is not None and not self._asks
+        return not self._asks
 
     def receive(self, data: bytes) -> None:
         """Take bytes from the terminal: make lines of them, and do what they say."""
@@ -105,18 +107,14 @@ class Monitor:
         self._take_lines()
 
     def _take_lines(self) -> None:
-        while self._lines and (self._reads or not self.is_busy):
+        while self._lines and (self._reads or self._asks):
             line = self._lines.pop(0)
             self._send(f"{line}\r\n")
             if self._reads:
                 self._reads = False
                 self._answer = line
-            elif self._asks:
-                self._asks = False
-                self._go_on(line)
             else:
-                self._dialogue = self._command(line.strip())
-                self._go_on(None)
+                self._go_on(line)
 
     def _ask(self, question: str) -> str | None:
         """Return the line that a program waits for, None while there is none."""
@@ -164,39 +162,34 @@ class Monitor:
         self._send(f"\r\n{message}\r\n.")
 
     def _go_on(self, answer: str | None) -> None:
-        """Go on with a command until it asks, waits or ends."""
-        assert self._dialogue is not None
-        try:
-            while True:
-                item = self._dialogue.send(answer)  # type: ignore[arg-type]  # None begins and goes on
-                answer = None
-                self._asks = isinstance(item, Ask)
-                self._send("" if item is None else item if self._asks else f"{item}\r\n")
-                if item is None or self._asks:
-                    return
-        except StopIteration:
-            pass
-        except VplusError as error:
-            self._send(f"{error.message} {error.detail}".rstrip() + "\r\n")
-        except (Rx90Error, SyntaxError) as error:
-            self._send(f"*{str(error).strip('*')}*\r\n")
-        self._dialogue = None
-        self._send(".")
+        """Go on with the dialogue until it asks or waits."""
+        item = self._dialogue.send(answer)  # type: ignore[arg-type]  # None begins and goes on
+        while item is not None and not isinstance(item, Ask):
+            self._send(f"{item}\r\n")
+            item = next(self._dialogue)
+        self._asks = item is not None
+        self._send(item or "")
+
+    def _commands(self) -> Dialogue:
+        """Ask for commands, and carry them out."""
+        while True:
+            line = yield Ask(".")
+            try:
+                yield from self._command(line.strip())
+            except VplusError as error:
+                yield f"{error.message} {error.detail}".rstrip()
+            except (Rx90Error, SyntaxError) as error:
+                yield f"*{str(error).strip('*')}*"
 
     def _command(self, line: str) -> Dialogue:
         word, _, text = line.partition(" ")
-        if word:
-            names = [name for name in COMMANDS if name.startswith(word.upper())]
-            if not names:
-                raise SyntaxError("Unknown command")
-            command = COMMANDS[names[0]]
-            dialogue = (
-                _do(self, command.format(text))
-                if isinstance(command, str)
-                else command(self, text.strip())
-            )
-            if dialogue is not None:
-                yield from dialogue
+        commands = [command for name, command in COMMANDS.items() if name.startswith(word.upper())]
+        if not commands:
+            raise SyntaxError("Unknown command")
+        if isinstance(commands[0], str):
+            yield from _do(self, commands[0].format(text))
+        elif word:
+            yield from commands[0](self, text.strip()) or ()
 
 
 # Commands.
@@ -204,12 +197,12 @@ class Monitor:
 
 def _do(monitor: Monitor, text: str) -> Dialogue:
     task = monitor.task
-    line = parse_line(text)
-    if line.word in CONTROL:
+    step = parse_line(text)
+    if step.word in CONTROL:
         raise SyntaxError("Illegal monitor command")
     _check_idle(monitor)
     depth = len(task.frames)
-    task.frames.append(Frame(Program("do", steps=[Step(1, line.word, line)])))
+    task.frames.append(Frame(Program("do", steps=[step])))
     try:
         for _ in task.walk(depth):
             yield None
@@ -259,12 +252,13 @@ def _point(monitor: Monitor, text: str) -> Dialogue:
     name = _name(text.partition("=")[0].strip())
     if "=" in text:
         yield from _do(monitor, f"SET {text}")
-    cell = element(monitor.task.memory.variables, name, ())
+    cell = element(monitor.task.memory.variables.setdefault(name, {}), name)
     if cell.value is None:
         cell.store(Joints([0.0] * 6) if name[0] == "#" else np.eye(4))
     while True:
+        place = monitor.task.taken("location", cell.value)  # type: ignore[arg-type]
         yield _COLUMNS
-        yield _text(cell.value)
+        yield _text(place)
         answer = yield Ask("Change? ")
         if not answer.strip():
             return
@@ -272,7 +266,7 @@ def _point(monitor: Monitor, text: str) -> Dialogue:
         try:
             numbers = [
                 float(new) if new.strip() else old
-                for old, new in zip(_numbers(cell.value), typed, strict=False)
+                for old, new in zip(_numbers(place), typed, strict=False)
             ]
         except ValueError:
             raise VplusError("Illegal value", plain(answer)) from None
@@ -437,11 +431,8 @@ def _edit(monitor: Monitor, text: str) -> Dialogue:
 
 
 def _enable(monitor: Monitor, text: str) -> Dialogue:
-    name = next(
-        (name for name in ("POWER", "CP", "DRY.RUN") if text and name.startswith(text.upper())),
-        text,
-    )
-    yield from _do(monitor, f"ENABLE {name}")
+    known = [name for name in ("POWER", "CP", "DRY.RUN") if text and name.startswith(text.upper())]
+    yield from _do(monitor, f"ENABLE {[*known, text][0]}")
     yield ""
 
 
@@ -521,7 +512,7 @@ class _Way:
 
     def __init__(self, baud: int | None) -> None:
         self._byte_time = 0.0 if baud is None else _BITS / baud
-        self._clear = 0.0
+        self._clear = time.monotonic()
 
     def room(self, *, waiting: bool) -> int:
         """Return the number of bytes that may pass now; while none wait, the time that goes by is of no use later."""
@@ -545,7 +536,6 @@ def _exchange(
     incoming = _Way(baud)
     outgoing = _Way(baud)
     output[:] = b"."
-    outgoing.room(waiting=False)
     began = time.monotonic() - cell.time
     while True:
         time.sleep(max(began + cell.time + cell.period - time.monotonic(), 0.0) if waits else 0.0)

@@ -18,7 +18,6 @@ from rx90_emulator.vplus.instructions import INSTRUCTIONS, REFUSED
 from rx90_emulator.vplus.transformations import trans
 from rx90_emulator.vplus.tree import (
     Function,
-    Line,
     Memory,
     Program,
     Readings,
@@ -66,7 +65,7 @@ def _function(name: str, *arguments: Tree) -> Function:
     return Function(name.upper(), entry, arguments)
 
 
-def _line(word: str, *arguments: Tree, modifiers: tuple[str, ...] = ()) -> Line:
+def _step(word: str, *arguments: Tree, modifiers: tuple[str, ...] = ()) -> Step:
     word = word.upper()
     if word.rstrip("()=") in REFUSED:
         raise SyntaxError(f"{word} is not there: {REFUSED[word.rstrip('()=')]}")
@@ -74,7 +73,7 @@ def _line(word: str, *arguments: Tree, modifiers: tuple[str, ...] = ()) -> Line:
     if entry is None:
         raise SyntaxError("*Unknown instruction*")
     entry.check(word, len(arguments))
-    return Line(word, entry, arguments, modifiers)
+    return Step(word, entry, arguments, modifiers)
 
 
 @v_args(inline=True)
@@ -123,34 +122,34 @@ class _Builder(Transformer[Any]):
     def prefixed(self, sign: str, operand: Tree) -> Tree:
         return _function(sign, 0.0, operand) if sign in "+-" else _function(sign, operand)
 
-    def assignment(self, target: Any, value: Tree) -> Line:
+    def assignment(self, target: Any, value: Tree) -> Step:
         if isinstance(target, Function) or target.name.upper() in _RESERVED.split():
             raise SyntaxError(f"{target.name.lower()} is a reserved word")
-        return _line("=", value, target)
+        return _step("=", value, target)
 
-    def command(self, word: str, arguments: Any, *modifiers: str) -> Line:
-        return _line(word, *(arguments or ()), modifiers=modifiers)
+    def command(self, word: str, arguments: Any, *modifiers: str) -> Step:
+        return _step(word, *(arguments or ()), modifiers=modifiers)
 
-    def setting(self, word: str, arguments: Any, value: Tree) -> Line:
-        return _line(f"{word}=", value, *arguments)
+    def setting(self, word: str, arguments: Any, value: Tree) -> Step:
+        return _step(f"{word}=", value, *arguments)
 
-    def unit_command(self, word: str, unit: Any, arguments: Any) -> Line:
-        return _line(f"{word}()", (unit or [None])[0], *(arguments or ()))
+    def unit_command(self, word: str, unit: Any, arguments: Any) -> Step:
+        return _step(f"{word}()", (unit or [None])[0], *(arguments or ()))
 
-    def declaration(self, word: str, _: str, *names: Tree) -> Line:
-        return _line(word, *names)
+    def declaration(self, word: str, _: str, *names: Tree) -> Step:
+        return _step(word, *(name.name for name in names if isinstance(name, Reference)))
 
-    def call(self, name: str, arguments: Any) -> Line:
-        return _line("CALL", plain_name(name), *(arguments or ()))
+    def call(self, name: str, arguments: Any) -> Step:
+        return _step("CALL", plain_name(name), *(arguments or ()))
 
-    def calls(self, name: Tree, arguments: Any) -> Line:
-        return _line("CALLS", name, *(arguments or ()))
+    def calls(self, name: Tree, arguments: Any) -> Step:
+        return _step("CALLS", name, *(arguments or ()))
 
-    def step(self, label: str | None, line: Any = None) -> tuple[int, Line | None]:
-        if isinstance(line, Rule):  # an instruction of control: its word is in the name of the rule
-            parts: list[Any] = line.children
-            line = _line(str(line.data).strip("_"), *parts)
-        return int(label[:9]) if label else -1, line
+    def step(self, label: str | None, step: Any = None) -> tuple[int, Step]:
+        if isinstance(step, Rule):  # an instruction of control: its word is in the name of the rule
+            parts: list[Any] = step.children
+            step = _step(str(step.data).strip("_"), *parts)
+        return int(label[:9]) if label else -1, step or Step()
 
     def header(self, name: str, parameters: Any) -> Program:
         names = tuple(parameter.name for parameter in parameters or ())
@@ -193,16 +192,16 @@ def parse(text: str, start: str, logic_first: bool = True) -> Any:
         raise SyntaxError(str(error)) from None
 
 
-def parse_line(text: str) -> Line:
+def parse_line(text: str) -> Step:
     """Return the instruction in a line without a label.
 
     Raises:
         SyntaxError: saying what the line has and where, also if it has no instruction.
     """
-    label, line = parse(text, "step")
-    if label >= 0 or line is None:
+    label, step = parse(text, "step")
+    if label >= 0 or step.entry is None:
         raise SyntaxError("*Missing argument*")
-    return line  # type: ignore[no-any-return]  # of the parser
+    return step  # type: ignore[no-any-return]  # of the parser
 
 
 # Files.
@@ -310,7 +309,8 @@ class Reader:
                 raise SyntaxError("outside of a program; accepted: .PROGRAM name(...)")
             place, value = parse(code, "datum")
             index = tuple(int(part) for part in place.index or () if part is not None)
-            element(self.memory.variables, place.name, index).store(value)
+            table = self.memory.variables.setdefault(place.name, {})
+            element(table, place.name, index).store(value)
 
     def close(self, head: str) -> None:
         """End what has no .END of its own, with a fault."""
@@ -328,34 +328,31 @@ class Reader:
 
     def _take_step(self, program: Program, code: str) -> None:
         place = len(program.steps)
-        step = Step(self.line, _opening(code), start=place, target=place + 1)
-        program.steps.append(step)
+        program.steps.append(Step(_opening(code), line=self.line))
         logic_first = self.memory.readings.logic_before_relations
-        label, instruction = parse(code, "step", logic_first)
+        label, step = parse(code, "step", logic_first)
         if label >= 0:
             if label > _LARGEST_LABEL or label in program.labels:
                 self.note(f"label {label}; accepted: each once, 0 to {_LARGEST_LABEL}")
             program.labels[label] = place
-        if instruction is None:
-            return
-        step.instruction = instruction
-        step.word = instruction.word
         if step.word in _DECLARATIONS:
-            self._declare(program, instruction)
-        if parse(code, "step", not logic_first) != (label, instruction):
+            self._declare(program, step)
+        if parse(code, "step", not logic_first) != (label, step):
             reading = "read by logic_before_relations (docs/reference/vplus.md)"
             self.warnings.append(
                 (self.line, f"a comparison beside AND, OR or XOR without brackets; {reading}")
             )
+        step.line = self.line
+        program.steps[place] = step
 
-    def _declare(self, program: Program, line: Line) -> None:
+    def _declare(self, program: Program, declaration: Step) -> None:
         if any(step.word not in ("", *_DECLARATIONS) for step in program.steps):
-            self.note(f"{line.word} stands behind an executable line")
-        names = {argument.name for argument in line.arguments if isinstance(argument, Reference)}
-        if line.word == "AUTO":
-            program.automatic |= names
-        elif line.word == "LOCAL":
-            program.lasting |= names
+            self.note(f"{declaration.word} stands behind an executable line")
+        for name in declaration.arguments:
+            if declaration.word == "AUTO":
+                program.automatic.add(name)
+            elif declaration.word == "LOCAL":
+                program.local[name] = {}
 
 
 def _opening(code: str) -> str:
@@ -370,7 +367,9 @@ def _resolve(program: Program) -> Iterator[tuple[int, str]]:
     steps = program.steps
     blocks: list[int] = []
     for place, step in enumerate(steps):
-        number = step.instruction.arguments[-1:] if step.instruction is not None else ()
+        step.start = place
+        step.target = place + 1
+        number = step.arguments[-1:]
         if step.word in _INSIDE:
             blocks.append(place)
         elif step.word in ("ELSE", "VALUE", "ANY", "END", "UNTIL"):
@@ -413,10 +412,8 @@ def _call_faults(memory: Memory) -> Iterator[str]:
     """Yield the faults of calls with more arguments than the program has."""
     for program in memory.programs.values():
         for step in program.steps:
-            name, *given = (
-                step.instruction.arguments if step.instruction and step.word == "CALL" else ("",)
-            )
-            called = memory.programs.get(str(name))
+            name, *given = step.arguments if step.word == "CALL" else [""]
+            called = memory.programs.get(name)
             if called is not None and len(given) > len(called.parameters):
                 accepted = f"accepted: up to {len(called.parameters)}"
                 yield f"line {step.line}: {called.name} is called with {len(given)} arguments; {accepted}"

@@ -17,7 +17,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.description.branch import Branch
 from rx90_emulator.vplus import cell as surroundings
 from rx90_emulator.vplus.transformations import inverse
-from rx90_emulator.vplus.tree import Function, Line, Memory, Program, Reference, Step, Tree
+from rx90_emulator.vplus.tree import Function, Memory, Program, Reference, Step, Tree
 from rx90_emulator.vplus.values import (
     KINDS,
     Cell,
@@ -155,7 +155,7 @@ class Task:
         self.lot = random.Random(0)
         self.halted = False
         self.frames: list[Frame] = []
-        self.step = Step(0)
+        self.step = Step()
         self._steps = 0
 
     # Programs.
@@ -164,12 +164,6 @@ class Task:
     def frame(self) -> Frame:
         """Return the program that runs."""
         return self.frames[-1]
-
-    @property
-    def line(self) -> Line:
-        """Return the newest instruction."""
-        assert self.step.instruction is not None
-        return self.step.instruction
 
     def program(self, name: str) -> Program:
         """Return a program.
@@ -195,18 +189,13 @@ class Task:
             raise VplusError(
                 "Not enough program stack space", f"{_DEEPEST} calls within each other"
             )
-        scope: Scope = {}
+        scope: Scope = {name: {} for name in program.automatic}
         for parameter, argument in zip(program.parameters, arguments, strict=False):
-            if (
-                isinstance(argument, Reference)
-                and argument.index
-                and not any(map(_is_given, argument.index))
-            ):
-                scope[parameter] = self.table(argument)
-            elif isinstance(argument, Reference):
-                scope[parameter] = {(): self.cell_of(argument)}
+            if isinstance(argument, Reference):
+                whole = argument.index is not None and not any(map(_is_given, argument.index))
+                scope[parameter] = self.table(argument) if whole else {(): self.cell_of(argument)}
             elif argument is not None:
-                element(scope, parameter, ()).store(self.value(argument))
+                element(scope[parameter], parameter).store(self.value(argument))
         self.frames.append(Frame(program, scope))
 
     def jump(self, condition: bool = True) -> None:
@@ -243,11 +232,9 @@ class Task:
 
     def _do(self) -> Waits:
         """Carry out a step, and react to signals behind it."""
-        if self.step.instruction is not None:
-            entry = self.line.entry
-            waits = entry.action(self, *self.values(entry.kinds, self.line.arguments))
-            if waits is not None:
-                yield from waits
+        entry = self.step.entry
+        if entry is not None:
+            yield from entry.action(self, *self.values(entry.kinds, self.step.arguments)) or ()
             yield from self._react()
 
     def _fail(self, error: VplusError | RecursionError, frame: Frame) -> None:
@@ -284,39 +271,34 @@ class Task:
                 self.lock = reaction.priority
                 depth = len(self.frames)
                 self.call(reaction.program)
-                yield from self.walk(depth)
-                self.step, self.lock = before
+                try:
+                    yield from self.walk(depth)
+                finally:
+                    self.step, self.lock = before
 
     # Variables and values.
 
-    def _scope(self, name: str) -> Scope:
-        program = self.frame.program if self.frames else Program()
-        if name in program.automatic:
-            return self.frame.scope
-        return program.local if name in program.lasting else self.memory.variables
-
-    def reference(self, tree: Tree) -> Reference:
-        """Return a tree that is a variable.
+    def table(self, tree: Tree) -> Table:
+        """Return an array or, with the index () alone, a plain variable.
 
         Raises:
-            VplusError: if it is an expression.
+            VplusError: if the tree is an expression.
         """
         if not isinstance(tree, Reference):
             raise VplusError("Illegal value", "an expression; accepted: a variable")
-        return tree
-
-    def table(self, tree: Tree) -> Table:
-        """Return an array or, with the index () alone, a plain variable."""
-        name = self.reference(tree).name
-        return self._scope(name).setdefault(name, {})
+        for frame in self.frames[-1:]:
+            for scope in (frame.scope, frame.program.local):
+                if tree.name in scope:
+                    return scope[tree.name]
+        return self.memory.variables.setdefault(tree.name, {})
 
     def cell_of(self, tree: Tree, further: int = 0) -> Cell:
         """Return a variable or an element of an array, or the element so many indices further."""
-        reference = self.reference(tree)
-        index = [self.taken("integer", part or 0.0) for part in reference.index or ()]
+        table = self.table(tree)
+        index = [self.taken("integer", part or 0.0) for part in tree.index or ()]  # type: ignore[union-attr]
         if index:
             index[-1] += further
-        return element(self._scope(reference.name), reference.name, tuple(index))
+        return element(table, tree.name, tuple(index))  # type: ignore[union-attr]
 
     def value(self, tree: Tree) -> Value:
         """Return the value of an expression.

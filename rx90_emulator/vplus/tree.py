@@ -107,39 +107,27 @@ Tree: TypeAlias = float | str | Format | Reference | Function | None
 """An expression, a format, or None for an argument that is left out."""
 
 
-@dataclass(frozen=True)
-class Line:
-    """An instruction.
-
-    Attributes:
-        word: in upper case; with `=` behind it where a value is set, with `()` where a unit stands in brackets.
-        entry: what it does.
-        arguments: in their order; a value that is set, or a unit, comes first.
-        modifiers: such as ALWAYS.
-    """
-
-    word: str
-    entry: Entry
-    arguments: tuple[Any, ...]
-    modifiers: tuple[str, ...] = ()
-
-
 @dataclass
 class Step:
     """A line of a program.
 
     Attributes:
+        word: of the instruction in upper case, empty for a blank line; with `=` behind it where a value is set, with
+            `()` where a unit stands in brackets.
+        entry: what it does; None for a blank line.
+        arguments: in their order; a value that is set, or a unit, comes first.
+        modifiers: such as ALWAYS.
         line: of the file.
-        word: of the instruction, empty for a blank line.
-        instruction: None for a blank line.
         start: number of the step that opens the block that it belongs to; its own if it belongs to none.
         target: number of the step to which it jumps.
         branches: of a block, in their order: the steps that belong to it.
     """
 
-    line: int
     word: str = ""
-    instruction: Line | None = None
+    entry: Entry | None = None
+    arguments: tuple[Any, ...] = ()
+    modifiers: tuple[str, ...] = ()
+    line: int = 1
     start: int = 0
     target: int = 0
     branches: list[int] = field(default_factory=list)
@@ -155,8 +143,7 @@ class Program:
         steps: its lines.
         labels: numbers of steps by their label.
         automatic: names that are new at each call, with those of the arguments.
-        lasting: names that are its own and stay between calls.
-        local: the scope of these.
+        local: variables that are its own and stay between calls.
         text: its lines as they stand in the file.
     """
 
@@ -165,7 +152,6 @@ class Program:
     steps: list[Step] = field(default_factory=list)
     labels: dict[int, int] = field(default_factory=dict)
     automatic: set[str] = field(default_factory=set)
-    lasting: set[str] = field(default_factory=set)
     local: Scope = field(default_factory=dict)
     text: list[str] = field(default_factory=list)
 

@@ -157,7 +157,7 @@ Table: TypeAlias = dict[Index, Cell]
 Scope: TypeAlias = dict[str, Table]
 
 
-def element(scope: Scope, name: str, index: Index) -> Cell:
+def element(table: Table, name: str, index: Index = ()) -> Cell:
     """Return an element of an array, made on first use.
 
     Raises:
@@ -166,4 +166,4 @@ def element(scope: Scope, name: str, index: Index) -> Cell:
     if len(index) > 3 or not all(0 <= number <= _LARGEST_INDEX for number in index):
         raise VplusError("Illegal array index", f"{name}{list(index)}")
     shown = f"{name}[{','.join(map(str, index))}]" if index else name
-    return scope.setdefault(name, {}).setdefault(index, Cell(shown))
+    return table.setdefault(index, Cell(shown))

@@ -26,9 +26,8 @@ MAX_AGE = 3
 """Ticks from the states that a command answers to the last that it is applied in: docs/explanation/free_running.md."""
 _LINES = 4  # about the brakes in _LINES_WINDOW; more changes are counted
 _LINES_WINDOW = 10.0  # s
-_OUT_OF_ORDER_COUNT = (
-    3  # commands that are not newer than the one before, within _WINDOW, that make two controllers
-)
+# commands that are not newer than the one before, within _WINDOW, that make two controllers
+_OUT_OF_ORDER_COUNT = 3
 _WINDOW = 5.0  # s
 _ELSEWHERE = 3  # stamps in a row that make another clock; commands from before a reset are fewer
 _SLICE = 0.05  # s of a wait after which interruptions are looked at
@@ -234,9 +233,8 @@ class NewestCommand(HeldCommand):
         answered = stamp // self._period_ns
         if stamp >= 0 and 0 <= tick - answered <= self._oldest:
             self._elsewhere = 0
-            if (
-                stamp < self._stamp
-            ):  # the same again is usual where /clock is slower than the commands
+            # the same again is usual where /clock is slower than the commands
+            if stamp < self._stamp:
                 self._note_out_of_order()
                 return None
             self._stamp = stamp
@@ -253,9 +251,8 @@ class NewestCommand(HeldCommand):
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 _LOOK = 1.0  # s between two looks at the graph
-_CROWDED_LOOKS = (
-    25  # at two controllers in a row: a user's process that was killed stays in the graph for 20 s
-)
+# at two controllers in a row: a user's process that was killed stays in the graph for 20 s
+_CROWDED_LOOKS = 25
 
 
 class JointCommands:

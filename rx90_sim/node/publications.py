@@ -7,6 +7,7 @@ than the plant's step.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 from rclpy.node import Node
@@ -26,9 +27,8 @@ from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.plant import Plant
 
 _SAMPLED_PERIOD = 1.0 / SAMPLED_RATE
-_DISPLAY_PERIOD = (
-    1.0 / 30.0
-)  # s of wall time from one sample to the next in a run faster than MAX_DISPLAY_RTF
+# s of wall time from one sample to the next in a run faster than MAX_DISPLAY_RTF
+_DISPLAY_PERIOD = 1.0 / 30.0
 
 
 class SampledStates:
@@ -41,27 +41,26 @@ class SampledStates:
         node: owner of the topics.
         plant: whose states they are.
         rates: of the simulation.
+        encode: return the message of joints and that of friction for a time, ns.
 
     Attributes:
         publishers: of both topics.
     """
 
-    def __init__(self, node: Node, plant: Plant, rates: Rates) -> None:
+    def __init__(
+        self, node: Node, plant: Plant, rates: Rates, encode: tuple[Callable[[int], bytes], ...]
+    ) -> None:
         self._plant = plant
         self._period_ns = rates.period_ns
         self._ticks = max(1, rates.base_hz // SAMPLED_RATE)
-        self._encode_joints = JointStateCodec(plant.joint_names).encoder(*plant.joint_states())
-        self._encode_friction = JointStateCodec(plant.friction_names).encoder(
-            *plant.friction_states()
-        )
+        self._encode = encode
         self.publishers: tuple[Publisher, Publisher] = (
             node.create_publisher(JointState, f"{SAMPLED}/joint_states", CLOCK_QOS),
             node.create_publisher(JointState, f"{SAMPLED}/friction_states", CLOCK_QOS),
         )
         self._samples: tuple[bytes, ...] = ()
-        self._due = self._published = (
-            0.0  # s of the steady clock: when the next is due, and when the last one was
-        )
+        # s of the steady clock: when the next is due, and when the last one was
+        self._due = self._published = 0.0
         self._since = 0  # samples since the last one that was published
 
     def publish_due(self, tick: int) -> None:
@@ -70,12 +69,11 @@ class SampledStates:
             stamp = tick * self._period_ns
             self._plant.friction_states()
             # Also without subscribers: one that subscribes while time stands still gets the newest.
-            self._samples = (self._encode_joints(stamp), self._encode_friction(stamp))
+            self._samples = tuple(encode(stamp) for encode in self._encode)
             self._since += 1
             now = time.monotonic()
-            if (
-                now >= self._due - 0.5 * _SAMPLED_PERIOD
-            ):  # in real time some ticks come a little early
+            # in real time some ticks come a little early
+            if now >= self._due - 0.5 * _SAMPLED_PERIOD:
                 fast = self._since > 1 and self._since * _SAMPLED_PERIOD > MAX_DISPLAY_RTF * (
                     now - self._published
                 )
@@ -109,9 +107,8 @@ class Transforms:
     ) -> None:
         self._ticks = ticks_per("tf_rate", parameters.rates.base_hz, parameters.tf_rate)
         try:
-            from tf2_msgs.msg import (
-                TFMessage,
-            )  # only on request: the pip environment may be without
+            # only on request: the pip environment may be without
+            from tf2_msgs.msg import TFMessage
         except ImportError as error:
             missing = missing_module(error) or error
             raise ConfigError(
@@ -165,15 +162,15 @@ class Publications:
         )
         self._clock_ticks = ticks_per("clock_rate", rates.base_hz, parameters.clock_rate)
         self._encode_joints = JointStateCodec(plant.joint_names).encoder(*plant.joint_states())
-        self._encode_friction = JointStateCodec(plant.friction_names).encoder(
+        self._encode_friction = JointStateCodec(plant.friction.names).encoder(
             *plant.friction_states()
         )
         self._joints = publish(node, JointState, "joint_states", STATE_QOS)
         self._friction = publish(node, JointState, "friction_states", STATE_QOS)
-        self._joint_sample = self._friction_sample = (
-            b""  # the newest, as it was sent; empty: not sent
-        )
-        self._sampled = SampledStates(node, plant, rates)
+        # the newest, as it was sent; empty: not sent
+        self._joint_sample = self._friction_sample = b""
+        encode = (self._encode_joints, self._encode_friction)
+        self._sampled = SampledStates(node, plant, rates, encode)
         self._time = Clock()
         self._clock = publish(node, Clock, "/clock", CLOCK_QOS)
         own = (self._joints, self._friction, self._clock, *self._sampled.publishers)

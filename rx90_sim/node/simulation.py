@@ -34,7 +34,7 @@ from rx90_common.friction import load_friction
 from rx90_sim.drives import warm_motors
 from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.node.ticks import Ticks
-from rx90_sim.plant import Plant
+from rx90_sim.plant import Plant, beyond_law
 
 _REQUEST_TIMEOUT = 5.0  # s
 
@@ -251,13 +251,14 @@ class SimulatedArm:
         }
         texts = (
             warm_motors(plant.constants, plant.winding_temperatures()),
-            plant.temperatures.beyond_law(),
+            beyond_law(plant.friction, plant.temperatures),
         )
-        warm = "; ".join(text for text in texts if text)
-        if plant.temperatures.elements:
-            values["joints, °C"] = " ".join(
-                f"{plant.temperatures.now[i]:.1f}" for i in plant.temperatures.elements
-            )
+        warm = "; ".join(filter(None, texts))
+        joints = zip(plant.friction.elements, plant.temperatures, strict=True)
+        if of_joints := [
+            f"{now:.1f}" for element, now in joints if element.temperature is not None
+        ]:
+            values["joints, °C"] = " ".join(of_joints)
         if plant.constants["winding"]["used"][0]:
             values["windings, °C"] = " ".join(f"{one:.1f}" for one in plant.winding_temperatures())
         if warm and not self._warm:

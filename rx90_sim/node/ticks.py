@@ -221,10 +221,8 @@ class Ticks:
             ).decode
             self._complain: Callable[[str], None] = once.say
             otherwise = "; with time_mode free_running a clock of its own is accepted"
-            limit = parameters.command_age_limit
-            self.held: HeldCommand = NewestCommand(
-                channel, self._decode, rates.period_ns, limit, log.info, once.say
-            )
+            timeout = parameters.command_age_limit
+            hold: type[HeldCommand] = NewestCommand
         else:
             motors = motor_names(len(plant.joint_names))
             commands = JointStateCodec(motors)
@@ -234,16 +232,16 @@ class Ticks:
             self._complain = partial(throttled.say, "command")
             otherwise = ""
             timeout = parameters.command_timeout
-            interrupting = self.control.interrupting
-            self.held = HeldCommand(
-                channel,
-                self._decode,
-                rates.period_ns,
-                timeout,
-                log.info,
-                self._complain,
-                interrupting,
-            )
+            hold = HeldCommand
+        self.held = hold(
+            channel,
+            self._decode,
+            rates.period_ns,
+            timeout,
+            log.info,
+            self._complain,
+            self.control.interrupting,
+        )
         self.lockstep = LockstepSimulation(
             channel, log.info, lambda text: self._complain(text + otherwise), self._usable
         )

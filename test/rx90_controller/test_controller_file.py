@@ -48,7 +48,8 @@ def test_the_model_s_files_may_be_named(shipped_files: RobotFiles, edited_yaml: 
     shared = {role: shipped_files.text(role) for role in ("urdf", "drives", "friction")}
     other = tmp_path / "other.yaml"
     other.write_bytes(shipped_files.friction.read_bytes())
-    named = edited_yaml(shipped_files.controller, ("model",), {**shared, "tool": "none", "friction": "other.yaml"})
+    block = {**shared, "tool": "none", "friction": "other.yaml", "note": "of another arm"}
+    named = edited_yaml(shipped_files.controller, ("model",), block)
     model = load_controller(named).model
     assert model is not None
     assert [model.path(role) for role in ("tool", "friction", "drives")] == [None, other, shipped_files.drives]

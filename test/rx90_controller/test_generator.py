@@ -277,26 +277,3 @@ def test_an_arm_beyond_a_limit_is_not_led_further_out() -> None:
             generator.accept(bad, 0, None)
     with pytest.raises(TrajectoryError, match="joint_3"):
         TrajectoryGenerator(LIMITS, PERIOD, HOME).accept(points([2.0], [held], [ZERO]), 0, None)
-
-
-@given(data=st.data())
-@settings(max_examples=60)
-def test_wherever_it_is_stopped_an_accepted_motion_stays_within_the_limits(data: st.DataObject) -> None:
-    """Between any two set-points the accelerations are kept, and braking finds room before the position limits."""
-    values = st.floats(-1.0, 1.0)
-    count = data.draw(st.integers(1, 3))
-    times = np.cumsum([data.draw(st.floats(0.05, 0.8)) for _ in range(count)])
-    position = [np.full(6, 2.0 * data.draw(values)) for _ in range(count)]
-    velocity = [np.full(6, 3.0 * data.draw(values)) for _ in range(count - 1)] + [ZERO]
-    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    try:
-        _, end, _ = generator.accept(
-            points(times.tolist(), position, data.draw(st.sampled_from([velocity, None]))), 0, None
-        )
-    except TrajectoryError:
-        return
-    got = generator.setpoints(0, end + 2)
-    assert np.abs(np.diff(got[:, 1], axis=0)).max() <= 60.0 * PERIOD * (1 + 1e-5)
-    assert np.abs(np.diff(got[:, 0], axis=0) / PERIOD).max() <= 3.0 + 60.0 * PERIOD
-    room = got[:, 0] + got[:, 1] * np.abs(got[:, 1]) / 120.0
-    assert np.abs(room).max() <= 2.0 + 1e-5

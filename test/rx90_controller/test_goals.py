@@ -11,7 +11,6 @@ from goal_arm import Arm, GoalError, checked, message, tolerance
 from joint_moves import HOME, PERIOD, ZERO, stamp
 
 from rx90_common.base.errors import TrajectoryError
-from rx90_controller.servo.events import GiveUp
 from rx90_controller.servo.states import Off, Switch
 from rx90_controller.trajectory.request import ResultCode, State
 
@@ -36,21 +35,6 @@ def test_a_bad_goal_is_refused(changed: dict[str, Any], words: str) -> None:
         checked(message(**changed))
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_options_take_what_is_refused_without_them() -> None:
-    """A subset of the joints and a velocity at the end are taken where they are allowed; no joints never are."""
-    some = message(joint_names=["joint_4", "joint_2"], positions=[0.4, 0.2], velocities=[0.5, 0.0])
-    allowed = {"allow_partial_joints_goal": True, "allow_nonzero_velocity_at_trajectory_end": True}
-    points = checked(some, **allowed).points
-    assert points.named.tolist() == [False, True, False, True, False, False]
-    assert points.position[0, [1, 3]].tolist() == [0.2, 0.4]
-    assert points.velocity[0, [1, 3]].tolist() == [0.0, 0.5]
-    for missing in allowed:
-        with pytest.raises(TrajectoryError):
-            checked(some, **{name: value for name, value in allowed.items() if name != missing})
-    with pytest.raises(TrajectoryError, match="no joints; accepted: joint_1"):
-        checked(message(joint_names=[]), **allowed)
 
 
 def test_tolerances_are_the_defaults_unless_the_goal_says_otherwise() -> None:
@@ -141,25 +125,6 @@ def test_a_point_at_the_start_elsewhere_or_over_is_refused() -> None:
     assert [event.state.name for event in arm.run(600)] == ["SUCCEEDED"]
 
 
-@pytest.mark.parametrize("at", [1, 123, 300, 599])
-def test_a_cancelled_goal_stops_along_the_path(at: int) -> None:
-    """CANCELED at once; the arm comes to rest on the straight way between the poses, and holds."""
-    arm, way = Arm(), np.array([0.2, 0.1, -0.1, 0.3, 0.2, 0.4])
-    arm.offer("a", message(HOME + way))
-    arm.run(at)
-    event = arm.cancel()
-    assert event is not None
-    assert event.key == "a"
-    assert event[1:3] == (State.CANCELED, ResultCode.SUCCESSFUL)
-    assert event.text.startswith(f"cancelled; stopping from {at * PERIOD:g} s on, at rest at ")
-    assert arm.cancel() is None
-    assert arm.run(300) == []
-    assert arm.stopped_smoothly()
-    share = (np.array(arm.setpoints)[:, 0] - HOME) / way
-    assert np.abs(share - share[:, :1]).max() < 1e-9
-    assert arm.outputs.info.call_args.args[0].startswith("stopped at ")
-
-
 DEFAULTED: dict[str, tuple[dict[str, Any], str]] = {
     "an unknown joint": (
         {"path_tolerance": [tolerance("joint_1", 0.1), tolerance("elbow", 0.1)]},
@@ -201,24 +166,6 @@ def test_tolerances_are_read_as_joint_trajectory_controller_reads_them() -> None
     assert read.tolerances.path[:, 1].tolist() == [0.2, np.inf, np.inf]
     assert read.tolerances.path[0, 2] == np.inf
     assert read.tolerances.goal[0, 2] == 0.01
-
-
-def test_what_ends_the_following_ends_the_goal() -> None:
-    """Brakes, a reset or a deactivation: code -1 with the reason; what the arm does is left to who says so."""
-    arm = Arm()
-    assert arm.drop("the torque is off") is None
-    arm.offer("a", message())
-    arm.run(100)
-    event = arm.drop("the torque is off")
-    assert event == ("a", State.ABORTED, ResultCode.INVALID_GOAL, "the torque is off, at 0.1 s", 100)
-    arm.run(600)
-    assert np.all(arm.setpoints[-1][0] == HOME + 0.2)
-    arm.offer("b", message(HOME))
-    arm.run(300)
-    arm.loop.post(GiveUp("the simulation is gone", halt=True))
-    arm.run(300)
-    assert arm.stopped_smoothly()
-    assert np.all(arm.setpoints[-1][0] != HOME)
 
 
 @pytest.mark.parametrize("at", [0, 250])

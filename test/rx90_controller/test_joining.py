@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from joint_moves import HOME, NAMES, PERIOD, ZERO, move, within_limits
+from joint_moves import HOME, NAMES, PERIOD, ZERO, within_limits
 from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
-from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, JoinedAhead, TrajectoryRequest
 
 MOST = np.array([18.0, 12.0, 12.0, 40.0, 40.0, 60.0])
 LIMITS = JointLimits(NAMES, np.full(6, -3.0), np.full(6, 3.0), np.full(6, 4.0), MOST, 1e-3)
@@ -180,51 +179,3 @@ def test_accelerations_count_between_set_points_too(generator: TrajectoryGenerat
     said = str(caught.value)
     assert said.startswith("point 1: joint_4 gets an acceleration of 6666.67 rad/s^2 on the way there, between two")
     assert "at 0.1002 s; accepted: [-40, 40], or velocities_from_positions" in said
-
-
-NOW, END = 500, 1000
-LEAD = 24  # ticks: at the second attempt four times 5 ms, and a little for one point and one second
-BACK = move(0.05, 1.0)
-
-
-def running() -> TrajectoryGenerator:
-    """Return a generator in the midst of a motion that ends at END."""
-    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    generator.accept(move(0.2, 1.0), 0, 0)
-    generator.setpoints(0, NOW)
-    return generator
-
-
-def planned(
-    generator: TrajectoryGenerator, points: TrajectoryPoints = BACK, now: int = NOW, start: int | None = None
-) -> JoinedAhead:
-    """Return a trajectory that was joined at a tick."""
-    request = TrajectoryRequest(None, points, start, GoalTolerances.of_parameters(NAMES), GoalOptions(), is_goal=True)
-    ahead = JoinedAhead(request, generator, now, 1)
-    ahead.compute()
-    return ahead
-
-
-def rest(generator: TrajectoryGenerator, tick: int) -> Array:
-    """Return what the generator does from a tick on."""
-    return generator.setpoints(tick, 3000)
-
-
-@pytest.mark.parametrize("late", [0, 10, LEAD])
-def test_what_is_handed_over_in_time_is_what_the_generator_would_do(late: int) -> None:
-    """It begins after the lead, to the bit; set-points that were sampled in advance are said to be out of date."""
-    generator, alone = running(), running()
-    plan, revision = planned(generator), generator.revision
-    schedule = plan.adopt(NOW + late)
-    assert schedule == alone.join(BACK, NOW, NOW + LEAD, anywhere=False)
-    assert schedule.begin == NOW + LEAD
-    assert generator.revision != revision
-    assert np.array_equal(rest(generator, NOW + late), rest(alone, NOW + late))
-
-
-def test_what_would_come_too_late_is_not_handed_over() -> None:
-    """On the way, one tick behind the lead, or behind a start that has been stamped: to be joined anew."""
-    for start, late in ((None, LEAD + 1), (NOW + 5, 6), (NOW, 1)):
-        plan = planned(running(), start=start)
-        assert not plan.fits(NOW + late)
-        assert plan.fits(NOW + late - 1)

@@ -3,34 +3,26 @@
 from __future__ import annotations
 
 import re
-import threading
-import time
-from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
-import rclpy
 import yaml
 from pinocchio_chain import tip_pose
-from processes import Start
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
+from processes import Processes
+from ros_client import Client
 from schema_faults import schema_faults
-from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.share import config_path
-from rx90_common.process.children import executable
-from rx90_controller.lines.plan import Approach, plan_line
+from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.setup import Setup
 
 REFERENCE = "robots/rx90b/task.yaml"
-PATIENCE = 60.0
 
 
 @pytest.mark.parametrize(
@@ -103,78 +95,18 @@ def test_a_line_holds_its_speed(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert said in capsys.readouterr().err
 
 
-class Listener:
-    """A controller's ears and a simulation's mouth: takes trajectories, tells joint states."""
-
-    def __init__(self, domain: int, namespace: str) -> None:
-        self.context = Context()
-        rclpy.init(context=self.context, domain_id=domain)
-        self.node = Node("rx90_controller", context=self.context, namespace=namespace)
-        self.taken: list[JointTrajectory] = []
-        self.states = self.node.create_publisher(JointState, "joint_states", 10)
-        self._executor = SingleThreadedExecutor(context=self.context)
-        self._executor.add_node(self.node)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._spin)
-        self._thread.start()
-
-    def listen(self) -> None:
-        """Start taking trajectories."""
-        self.node.create_subscription(JointTrajectory, "rx90_controller/joint_trajectory", self.taken.append, 1)
-
-    def tell(self, names: tuple[str, ...], positions: np.ndarray) -> None:
-        """Publish the joint positions over and over, in reversed order of names."""
-        state = JointState(name=list(names)[::-1], position=positions[::-1].tolist())
-        self.node.create_timer(0.02, lambda: self.states.publish(state))
-
-    def wait(self, condition: Callable[[], bool]) -> None:
-        """Wait for a condition, not for a time."""
-        deadline = time.monotonic() + PATIENCE
-        while not condition():
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-
-    def _spin(self) -> None:
-        while not self._stop.is_set():
-            self._executor.spin_once(timeout_sec=0.05)
-
-    def close(self) -> None:
-        """Stop the thread and leave the domain."""
-        self._stop.set()
-        self._thread.join()
-        self._executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
-
-
-@pytest.fixture
-def listener(ros_domain: int, request: pytest.FixtureRequest) -> Iterator[Listener]:
-    """Return a listener in the test's domain, and in the namespace that is its parameter."""
-    listener = Listener(ros_domain, getattr(request, "param", "/"))
-    yield listener
-    listener.close()
-
-
-LINE = executable("rx90 line", REFERENCE)
-
-
 @pytest.mark.ros
-def test_a_controller_that_comes_later_gets_the_whole_trajectory(
-    shipped: Setup, listener: Listener, start_apart: Start
-) -> None:
-    """The tool announces its wait once, sends when the controller is there, and ends after it has it."""
-    process = start_apart(*LINE, "--start-time", "12.5", "--timeout", str(PATIENCE))
-    assert process.stdout is not None
-    for line in process.stdout:
-        if line.startswith("waiting for a controller on /rx90_controller/joint_trajectory"):
-            break
-    listener.listen()
-    out, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 0, err
-    assert "waiting" not in out
-    assert "sent 72 points to /rx90_controller/joint_trajectory: start at 12.5 s, 5.600 s" in out
-    listener.wait(lambda: bool(listener.taken))
-    (message,) = listener.taken
+def test_a_controller_that_comes_later_gets_the_whole_trajectory(shipped: Setup, processes: Processes) -> None:
+    """The tool announces its wait, sends when the controller is there, and ends after it has it."""
+    with closing(Client()) as client:
+        name = client.node.get_name()
+        sender = processes.start("rx90 line", REFERENCE, "--node", name, "--start-time", "12.5")
+        sender.wait_for(f"waiting for a controller on /{name}/joint_trajectory")
+        taken = client.listen(f"{name}/joint_trajectory", JointTrajectory)
+        client.spin_until(lambda: bool(taken), "the trajectory")
+    assert sender.wait() == 0, sender.output
+    assert f"sent 72 points to /{name}/joint_trajectory: start at 12.5 s, 5.600 s" in sender.output
+    (message,) = taken
     plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (12, 500_000_000)
     assert tuple(message.joint_names) == plan.joint_names
@@ -183,28 +115,3 @@ def test_a_controller_that_comes_later_gets_the_whole_trajectory(
     assert np.array_equal([p.accelerations for p in message.points], plan.acceleration)
     last = message.points[-1].time_from_start
     assert (last.sec, last.nanosec) == (5, 600_000_000)
-
-
-@pytest.mark.ros
-@pytest.mark.usefixtures("warm")
-@pytest.mark.parametrize("listener", ["/cell"], indirect=True)
-def test_approach_comes_first_where_the_arm_stands_elsewhere(
-    shipped: Setup, listener: Listener, start_apart: Start
-) -> None:
-    """From another pose the first point, the start of the line, comes after the time a joint move takes."""
-    plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
-    here = plan.start_pose + np.array([0.1, -0.2, 0.3, 0.0, 0.1, -0.4])
-    listener.tell(shipped.robot.joint_names, here)
-    listener.listen()
-    process = start_apart(*LINE, "--approach", "--node", "/cell/rx90_controller", "--timeout", str(PATIENCE))
-    out, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 0, err
-    assert "approach: " in out
-    assert "points to /cell/rx90_controller/joint_trajectory" in out
-    listener.wait(lambda: bool(listener.taken))
-    first = listener.taken[0].points[0]
-    assert np.array_equal(first.positions, plan.start_pose)
-    assert not np.any(first.velocities)
-    expected = Approach().duration(shipped.robot, here, plan.start_pose)
-    delay = first.time_from_start.sec + 1e-9 * first.time_from_start.nanosec
-    assert expected <= delay < expected + 1e-3

@@ -148,18 +148,6 @@ def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
     assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
 
 
-def test_other_constants_of_the_law_count_from_a_position_tick_on(rig: Rig) -> None:
-    """Given between two of them, they wait for the next one, whose time is said."""
-    rig.loop.hold(rig.states(0))
-    rig.run(0, 9)
-    effective: list[int] = []
-    rig.loop.change_law(rig.cs7b.law.copy(), effective.append)
-    rig.run(9, 3)
-    assert effective == []
-    rig.run(12, 1)
-    assert effective == [12 * rig.period]
-
-
 @pytest.mark.parametrize("named", [False, True])
 def test_an_empty_trajectory_stops_within_the_accelerations_and_holds(rig: Rig, named: bool) -> None:
     """Position and velocity of the set-points go on without a jump, then the place is held; two lines tell it."""
@@ -220,45 +208,6 @@ def held(rig: Rig) -> Callable[..., Rig]:
 def aborted(rig: Rig) -> list[str]:
     """Return the lines on trajectories that were given up."""
     return [line for line in rig.around.lines if line.startswith("trajectory aborted")]
-
-
-def test_a_joint_off_the_path_is_told_once_and_the_arm_stops_and_holds(held: Callable[..., Rig]) -> None:
-    """At the first set-point beyond: one line with joint, error, tolerance and time; rest within the accelerations."""
-    rig = held({"joint_3": {"trajectory": 0.02}, "joint_4": {"trajectory": 0.09}})
-    tick = ticks_to(0.02)
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.run(0, RATIO * tick)
-    assert aborted(rig) == []
-    rig.run(RATIO * tick, RATIO)
-    error = 0.1 * (3 * (tick * 1e-3) ** 2 - 2 * (tick * 1e-3) ** 3)
-    assert aborted(rig) == [
-        f"trajectory aborted: joint_3: position error {error:.4g} rad, accepted up to 0.02 rad along the path, at "
-        f"{tick * 1e-3:.6g} s, {tick * 1e-3:.6g} s on the trajectory; stopping and holding"
-    ]
-    motion = rig.cs7b.trajectory.setpoints(tick, 3000)
-    assert (np.abs(np.diff(motion[:, 1], axis=0)) <= rig.cs7b.trajectory.limits.acceleration * 1e-3 + 1e-12).all()
-    assert motion[-1, 0].max() < 0.1
-    assert not motion[-1, 1:].any()
-    assert all(rig.run(RATIO * (tick + 1), RATIO * 1500))
-    assert len(aborted(rig)) == 1
-    rig.loop.receive(rig.trajectory(0.0))
-    assert "accepted" in rig.around.lines[-1]
-
-
-def test_a_goal_that_is_not_reached_in_time_is_told_once(held: Callable[..., Rig]) -> None:
-    """`goal` and `goal_time`: a tick beyond the time after the last point; within the tolerance nothing is said."""
-    rig = held({"joint_2": {"goal": 0.05}, "goal_time": 0.2})
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.run(0, RATIO * 1201)
-    assert aborted(rig) == []
-    rig.run(RATIO * 1201, RATIO * 500)
-    assert aborted(rig) == [
-        "trajectory aborted: joint_2: position error 0.1 rad, accepted up to 0.05 rad at the goal, 0.201 s after the "
-        "last point, at 1.201 s, 1.201 s on the trajectory; stopping and holding"
-    ]
-    rig.loop.receive(rig.trajectory(0.04))
-    rig.run(RATIO * 1701, RATIO * 2000)
-    assert len(aborted(rig)) == 1
 
 
 @pytest.mark.parametrize("stops", [False, True])

@@ -102,27 +102,6 @@ def test_whenever_the_speed_changes_the_path_and_the_limits_are_kept(changes: li
     assert not generator.moving(tick + 4000)
 
 
-def test_held_on_the_path_it_rests_and_goes_on_from_there(generator: TrajectoryGenerator) -> None:
-    """Scaled to 0 it comes to rest on the path, stays to the bit, and later goes through the rest of it."""
-    generator.set_speed_scaling(0.0, 500)
-    assert generator.speed_scaling(500) == 1.0
-    held = generator.setpoints(500, 2000)
-    assert np.all(held[-1000:] == held[-1])
-    assert np.all(held[-1, 1:] == 0.0)
-    assert generator.speed_scaling(2000) == 0.0
-    assert generator.moving(2400)
-    assert generator.ended(2400) is None
-    generator.set_speed_scaling(1.0, 2500)
-    rest = generator.setpoints(2500, 1500)
-    followed_within_limits(np.concatenate([held, rest]))
-    assert off_the_path(rest[::11, 0]) < 1e-6
-    assert np.all(rest[-1, 0] == HOME)
-    end = [tick for tick in range(2500, 4000) if generator.ended(tick) is not None]
-    assert len(end) == 1
-    assert np.all(generator.setpoints(end[0])[0, 0] == HOME)
-    assert np.any(generator.setpoints(end[0] - 1)[0, 0] != HOME)
-
-
 def test_the_change_of_speed_is_as_quick_as_the_accelerations_allow() -> None:
     """On a straight path at constant velocity v the rate changes by a/v a second, a being what the first joint has."""
     generator = TrajectoryGenerator(LIMITS, PERIOD, ZERO)

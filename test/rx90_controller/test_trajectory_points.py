@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.interpolate import BPoly, CubicHermiteSpline
+from scipy.interpolate import BPoly
 
 from rx90_common.base.errors import ExchangeError, Rx90Error, TrajectoryError
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
@@ -129,20 +129,12 @@ ACCELERATION = RNG.uniform(-9.0, 9.0, (6, 6))
 INSIDE = np.sort(RNG.uniform(0.0, 2.0, 500))
 
 
-def test_velocities_make_it_cubic() -> None:
-    """With velocities the set-points are SciPy's cubic Hermite spline and its two derivatives."""
-    got = interpolate(TIMES, POSITION, VELOCITY, None).sample(INSIDE)
-    spline = CubicHermiteSpline(TIMES, POSITION, VELOCITY)
-    for order in range(3):
-        want = spline(INSIDE, order)
-        assert got[:, order] == pytest.approx(want, abs=1e-11 * np.abs(want).max())
-
-
-def test_accelerations_make_it_quintic() -> None:
-    """With accelerations the set-points are SciPy's quintic through positions and both derivatives."""
-    got = interpolate(TIMES, POSITION, VELOCITY, ACCELERATION).sample(INSIDE)
-    given = np.stack([POSITION, VELOCITY, ACCELERATION], axis=1)
-    spline = BPoly.from_derivatives(TIMES, given)
+@pytest.mark.parametrize("acceleration", [None, ACCELERATION], ids=["cubic", "quintic"])
+def test_set_points_are_those_of_scipy_s_splines(acceleration: Array | None) -> None:
+    """With velocities they are the cubic's and its two derivatives, with accelerations the quintic's."""
+    got = interpolate(TIMES, POSITION, VELOCITY, acceleration).sample(INSIDE)
+    given = [POSITION, VELOCITY] if acceleration is None else [POSITION, VELOCITY, acceleration]
+    spline = BPoly.from_derivatives(TIMES, np.stack(given, axis=1))
     for order in range(3):
         want = spline(INSIDE, order)
         assert got[:, order] == pytest.approx(want, abs=1e-10 * np.abs(want).max())

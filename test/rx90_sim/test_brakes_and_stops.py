@@ -14,18 +14,6 @@ from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 
 
-def test_closed_brakes_hold_every_pose_from_the_start(shipped: Setup) -> None:
-    """Reset puts the arm in equilibrium on its brakes: nothing moves, in any pose, not even by a bristle."""
-    plant = shipped.plant()
-    rng = np.random.default_rng(8)
-    for _ in range(40):
-        pose = rng.uniform(shipped.robot.lower, shipped.robot.upper)
-        plant.reset(pose)
-        for _ in range(200):
-            plant.step(None)
-        assert np.abs(plant.joint_states()[0] - pose).max() < 1e-12
-
-
 def test_brakes_that_close_hold_within_torque_over_stiffness(shipped: Setup) -> None:
     """Closing on a loaded arm at rest, each brake gives way by its load over its stiffness, at most."""
     rng = np.random.default_rng(9)

@@ -268,16 +268,6 @@ def test_the_amplifier_folds_back(shipped: Setup) -> None:
     assert plant.winding_temperatures()[4] > 120.0
 
 
-def test_cold_windings_stay_cold(shipped: Setup) -> None:
-    """Without the block nothing gets warm and no torque is limited."""
-    plant: Plant = shipped.plant()
-    for _ in range(10):
-        plant.step(10.0 * shipped.drives.peak_torque)
-    assert np.all(plant.winding_temperatures() == 20.0)
-    assert current_shares(plant.constants, plant.winding_temperatures()).tolist() == [1.0] * 6
-    assert warm_motors(plant.constants, plant.winding_temperatures()) == ""
-
-
 OFFSET = np.array([0.02, -0.03, 0.01, 0.0, 0.04, -0.01])
 NOISE = np.array([0.01, 0.02, 0.005, 0.01, 0.02, 0.003])
 
@@ -376,10 +366,3 @@ def test_the_current_loop_has_one_bandwidth(shipped: Setup) -> None:
     both = {"controller.current_bandwidth": 500.0, "drives.current_sensor.bandwidth": 500.0}
     assert with_parameters(setup, both).cs7b().law["current_gain"] < setup.cs7b().law["current_gain"]
     with_parameters(shipped, {"controller.current_bandwidth": 500.0}).cs7b()  # ideal sensors have no part in it
-
-
-def test_without_errors_the_report_is_the_torque(shipped: Setup) -> None:
-    """Without the block the drives report the torque that they give, to the last bit."""
-    plant = shipped.plant()
-    plant.step(0.2 * shipped.drives.peak_torque)
-    assert plant.motor_states()[2].tobytes() == plant.state["motor_torque"][0].tobytes()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -296,23 +295,6 @@ def test_the_mean_torque_is_that_along_the_way() -> None:
         assert slope == pytest.approx((ahead - behind) / (2.0 * small), rel=1e-4, abs=1e-4 * scale)
 
 
-@pytest.mark.parametrize("damping", [0.0, 1e-4])
-def test_a_gear_gives_back_what_was_put_into_it(damping: float) -> None:
-    """Over 10^4 random cycles of steps of any size the work put in is the spring's energy, and more with a damper."""
-    rng, stiffness, half = np.random.default_rng(3), 1e4, 1e-3
-    twists = np.cumsum(rng.normal(0.0, 10.0 ** rng.uniform(-6, -3, 40_000)))
-    twists -= 6e-3 * np.round(twists / 6e-3)
-    work, moved = 0.0, 0.0
-    for begin, end in pairwise(twists):
-        done = mean_torque(stiffness, damping * stiffness, half, begin, end - begin, STEP)[0] * (end - begin)
-        work, moved = work + done, moved + abs(done)
-    stored = [0.5 * stiffness * max(0.0, abs(t) - half) ** 2 for t in (twists[0], twists[-1])]
-    turns = np.count_nonzero(np.diff(np.sign(np.diff(twists))))
-    assert turns > 10_000
-    surplus = work - (stored[1] - stored[0])
-    assert surplus == pytest.approx(0.0, abs=1e-10 * moved) if damping == 0.0 else surplus > 0.1 * moved
-
-
 def one_joint(shipped: Setup, rotor: float, gear: tuple[float, float, float], substeps: int) -> Plant:
     """Return a plant in which joint 1 alone moves, with an elastic gear (stiffness, damping, half the play)."""
     stiffness, damping, backlash = np.full(6, np.inf), np.zeros(6), np.zeros(6)
@@ -326,26 +308,6 @@ def one_joint(shipped: Setup, rotor: float, gear: tuple[float, float, float], su
         brake={"stiffness": ones, "damping": ones},
     )
     return dataclasses.replace(setup, drives=drives).plant(substeps)
-
-
-def test_all_gears_end_a_step_where_their_torques_lead(shipped: Setup) -> None:
-    """Where all six knock against each other, with stiff dampers, each torque is the mean one along its twist's way."""
-    rng, half, damping = np.random.default_rng(9), 2e-4, 5e-3 * SOFT
-    setup = elastic(floating(shipped), SOFT, damping, 2.0 * half)
-    plant = setup.plant()
-    free(plant, POSE)
-    gears, meetings = plant.state["transmission"][0], 0
-    for k in range(600):
-        if k % 5 == 0:
-            command = rng.uniform(-1.0, 1.0, 6) * setup.drives.peak_torque
-        before = gears["twist"].copy()
-        plant.step(command)
-        ways = gears["twist"] - before
-        meetings += np.count_nonzero((np.abs(before) > half) != (np.abs(before + ways) > half))
-        for i in range(6):
-            want = mean_torque(SOFT[i], damping[i], half, before[i], ways[i], STEP)[0]
-            assert gears["torque"][i] == pytest.approx(want, rel=1e-8, abs=1e-6)
-    assert meetings > 100
 
 
 def test_a_joint_with_play_against_a_stiff_solver(shipped: Setup) -> None:

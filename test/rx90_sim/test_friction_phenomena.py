@@ -185,21 +185,6 @@ def test_a_mass_under_constant_load_does_not_creep(
     assert plant.friction_states()[0][:4] == pytest.approx(deflection, rel=1e-9)
 
 
-def test_the_arm_does_not_creep_under_constant_motor_torques(shipped: Setup, arm_oracle: Any) -> None:
-    """With the brakes open the whole arm settles under its load and keeps every bit of its position."""
-    plant = shipped.plant()
-    pose = np.array([0.3, 0.4, 0.7, -0.4, 0.6, 0.2])
-    plant.reset(pose)
-    _, gravity = arm_oracle.mass_and_bias(pose, np.zeros(6))
-    rest = np.array([15.0, -18.0, 10.0, 3.5, -2.0, 1.0])  # below tau_c of every joint
-    motor = np.linalg.solve(np.array([arm_oracle.joint_torque(row) for row in np.eye(6)]).T, gravity + rest)
-    assert hold(plant.constants, plant.state, motor, 10 * 4000) == -1
-    settled = plant.joint_states()[0].copy()
-    assert 1e-5 < np.abs(settled - pose).max() < 5e-3
-    assert hold(plant.constants, plant.state, motor, 20 * 4000) == -1
-    assert np.array_equal(plant.joint_states()[0], settled)
-
-
 def test_lugre_drifts_under_an_oscillating_load_below_break_away(
     masses: Masses, paper_element: FrictionElement
 ) -> None:

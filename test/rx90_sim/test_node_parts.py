@@ -15,6 +15,7 @@ from processes import TIMEOUT, wait_until
 from benchmarks.any_arm import write_arm
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
+from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.cdr_stamps import cdr_stamp_ns
 from rx90_emulator.loop.own_controller import run_controller
 from rx90_emulator.loop.setup import Setup, load_setup
@@ -115,14 +116,9 @@ class KeepingPublisher:
 def looked_on(monkeypatch: pytest.MonkeyPatch, pace: float, jitter: float = 0.0) -> list[int]:
     """Return the stamps, ns, published in 100 s of simulated time, every second sample late by a jitter, s."""
     node = SimpleNamespace(create_publisher=lambda *_: KeepingPublisher())
-    states = tuple(np.zeros((3, 6)))
-    plant = SimpleNamespace(
-        joint_names=[f"joint_{k}" for k in range(6)],
-        friction_names=[f"element_{k}" for k in range(6)],
-        joint_states=lambda: states,
-        friction_states=lambda: states,
-    )
-    sampled = publications.SampledStates(node, plant, Rates())  # type: ignore[arg-type]
+    encode = JointStateCodec([f"joint_{k}" for k in range(6)]).encoder(*np.zeros((3, 6)))
+    plant = SimpleNamespace(friction_states=lambda: None)
+    sampled = publications.SampledStates(node, plant, Rates(), (encode, encode))  # type: ignore[arg-type]
     wall = 1e3
     monkeypatch.setattr(publications.time, "monotonic", lambda: wall)
     for tick in range(0, TICKS, 4):

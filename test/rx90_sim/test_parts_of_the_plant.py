@@ -16,7 +16,7 @@ from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_common.rigid_torque import rigid_torque
 from rx90_emulator.loop.setup import Setup
-from rx90_sim.plant import Plant
+from rx90_sim.plant import Plant, beyond_law
 
 
 @pytest.fixture(scope="module")
@@ -108,9 +108,9 @@ def test_a_reset_begins_again_to_the_last_bit(arm: Setup) -> None:
         rows = []
         for _ in range(100):
             plant.step(0.3 * setup.drives.peak_torque)
-            warmth = plant.temperatures.now, plant.state["parts"]["temperature"]["heat"][0]
+            warmth = plant.temperatures, plant.state["parts"]["temperature"]["heat"][0]
             rows.append(np.concatenate([snapshot(plant), plant.friction_states()[2], *warmth]))
-        assert np.ptp(plant.temperatures.now) > 0.01
+        assert np.ptp(plant.temperatures) > 0.01
         return np.array(rows)
 
     plant = setup.plant()
@@ -156,7 +156,7 @@ def at_rest(setup: Setup, ticks: int) -> Array:
     for _ in range(ticks):
         plant.step(TORQUE)
         plant.state["v"] = plant.state["acceleration"] = 0.0  # held by whoever holds it
-    return plant.temperatures.now.copy()
+    return plant.temperatures.copy()
 
 
 def test_motors_warm_the_joints_that_they_drive(shipped: Setup) -> None:
@@ -196,12 +196,14 @@ def test_a_moving_arm_warms_by_its_friction(shipped: Setup) -> None:
     heat = plant.state["parts"]["temperature"]["heat"][0]
     assert heat == pytest.approx(taken - stored, rel=2e-3, abs=2e-3)
     assert heat[[0, 2]].min() > 3.0
-    assert plant.temperatures.beyond_law() == ""
+    assert beyond_law(plant.friction, plant.temperatures) == ""
     plant.state["parts"]["temperature"]["temperature"][0, 2:4] = 80.06, 80.0
-    assert plant.temperatures.beyond_law() == "joint_3 at 80.1 °C keeps the friction of 80 °C, the highest of its law"
+    assert (
+        beyond_law(plant.friction, plant.temperatures)
+        == "joint_3 at 80.1 °C keeps the friction of 80 °C, the highest of its law"
+    )
     plant.reset(np.zeros(6))
-    assert plant.temperatures.now.tolist() == [30.0, 0.0, 30.0, 30.0, 30.0, 30.0, 30.0]
-    assert plant.temperatures.elements == (0, 2, 3, 4, 5, 6)
+    assert plant.temperatures.tolist() == [30.0, 0.0, 30.0, 30.0, 30.0, 30.0, 30.0]
 
 
 def with_start(element: FrictionElement, start: float) -> FrictionElement:
@@ -222,7 +224,7 @@ def test_the_start_temperature_counts_at_once(shipped: Setup) -> None:
         plant = dataclasses.replace(setup, friction=friction).plant()
         plant.reset(np.zeros(6))
         plant.state["v"] = 0.5
-        assert plant.temperatures.now.tolist() == [wanted[0], 0.0, *wanted[2:]]  # the second has none
+        assert plant.temperatures.tolist() == [wanted[0], 0.0, *wanted[2:]]  # the second has none
         torques.append(plant.friction_states()[2].copy())
     velocity = np.array([*[0.5] * 6, 1.0])
     c2 = np.array([e.c2 * (e.temperature is not None) for e in setup.friction.elements])
@@ -237,7 +239,7 @@ def test_above_its_law_friction_stays(shipped: Setup) -> None:
         plant = setup.plant()
         plant.reset([0.3, 0.5, 1.0, -0.4, 0.6, 0.2])
         plant.constants["parts"]["temperature"]["gain"] = 0.0
-        plant.state["parts"]["temperature"]["temperature"][0, list(plant.temperatures.elements)] = temperature
+        plant.state["parts"]["temperature"]["temperature"][0, [0, 2, 3, 4, 5, 6]] = temperature
         for _ in range(100):
             plant.step(0.2 * setup.drives.peak_torque)
         torques.append(plant.friction_states()[2].copy())

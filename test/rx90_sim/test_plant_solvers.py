@@ -23,26 +23,6 @@ from rx90_sim.plant import Plant
 POSE = np.array([0.4, 0.9, -0.6, 0.5, 0.3, -0.3])
 
 
-def test_smooth_torques_held_tick_by_tick(shipped: Setup, arm_oracle: Any) -> None:
-    """With torques that change tick by tick, as a controller gives them, the error stays below 10 µrad."""
-    ticks = 120
-    _, gravity = arm_oracle.mass_and_bias(POSE, np.zeros(6))
-    share = np.array([40.0, 45.0, -25.0, 9.0, -6.0, 4.0])
-    to_joint = np.array([arm_oracle.joint_torque(row) for row in np.eye(6)]).T
-    plant = shipped.plant()
-    plant.reset(POSE)
-    state = np.concatenate([POSE, np.zeros(13)])
-    worst = 0.0
-    for k in range(ticks):
-        swing = math.sin(2 * math.pi * k / ticks)
-        motor = np.linalg.solve(to_joint, gravity + share * swing)
-        state = arm_oracle.integrate(state, motor, shipped.rates.period, 1e-8, "LSODA")
-        plant.step(motor)
-        worst = max(worst, np.abs(plant.joint_states()[0] - state[:6]).max())
-    assert np.abs(state[6:12]).max() > 0.05
-    assert worst < 1e-5
-
-
 def test_energy_is_kept_without_friction_to_second_order(
     shipped: Setup, frictionless: FrictionSet, arm_oracle: Any
 ) -> None:

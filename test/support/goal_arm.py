@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 from unittest import mock
@@ -14,7 +13,6 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import Rates
 from rx90_controller.node.servo_loop import ServoLoop
-from rx90_controller.servo.events import Cancel, GiveUp
 from rx90_controller.servo.servo import MotorStates
 from rx90_controller.servo.states import Holding
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
@@ -74,14 +72,6 @@ def checked(goal: SimpleNamespace, **options: bool) -> TrajectoryRequest:
     return check_request(goal.trajectory, DEFAULTS, GoalOptions(**options), 1000, goal)
 
 
-def two(first: float, second: float) -> list[SimpleNamespace]:
-    """Return two points at times, s."""
-    points = message().trajectory.points * 2
-    points = [copy.copy(point) for point in points]
-    points[0].time_from_start, points[1].time_from_start = stamp(first), stamp(second)
-    return points
-
-
 class Event(NamedTuple):
     """How a goal has ended, and which."""
 
@@ -139,7 +129,6 @@ class Arm:
         self.setpoints: list[Array] = []
         self.active: str | None = None
         self.feedback: Feedback | None = None
-        self._goals: dict[str, TrajectoryRequest] = {}
         self._ended: list[Event] = []
 
     @property
@@ -152,23 +141,12 @@ class Arm:
         request = goal if isinstance(goal, TrajectoryRequest) else checked(goal, **self.options)
         request.on_result = lambda: self._note(key, request)
         request.on_feedback = lambda feedback: setattr(self, "feedback", feedback)
-        self._goals[key] = request
         self.loop.offer(request)
         events = self._events()
         if request.reason:
             raise GoalError(request.code, request.reason)
         self.active, self.feedback = key, None
         return events[0] if events else None
-
-    def cancel(self) -> Event | None:
-        """Cancel the goal offered last."""
-        self.loop.post(Cancel([*self._goals.values()][-1]))
-        return next(iter(self._events()), None)
-
-    def drop(self, reason: str) -> Event | None:
-        """End the goal for a reason."""
-        self.loop.post(GiveUp(reason))
-        return next(iter(self._events()), None)
 
     def _note(self, key: str, goal: TrajectoryRequest) -> None:
         self._ended.append(Event(key, goal.state, goal.code, goal.reason, self.tick))

@@ -23,9 +23,8 @@ _ANNOUNCE_WAIT_S = 1.0
 _SETTLE_S = 0.3  # a publisher learns of its match a moment after the recorder does
 _MAX_HELD_BYTES = 64 << 20  # while topics are still missing
 _LEAST_DRAIN_S = 0.2
-_QUIET_S = (
-    1.0  # without a message after the stop request: a lost one is sent again after some heartbeats
-)
+# without a message after the stop request: a lost one is sent again after some heartbeats
+_QUIET_S = 1.0
 _MAX_DRAIN_S = 5.0
 
 

@@ -26,9 +26,8 @@ from rx90_common.exchange.message_types import message_class, types_with
 from rx90_common.exchange.ros_start import reason
 
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
-_PAUSE = (
-    0.002  # s; the messages in it at 30,000 per second fit into a socket with Linux' default size
-)
+# s; the messages in it at 30,000 per second fit into a socket with Linux' default size
+_PAUSE = 0.002
 _HEADER = "std_msgs/Header"
 
 
@@ -100,9 +99,8 @@ class SequenceCounter:
 
     def _writer_before(self, number: int) -> WriterCount:
         """Return the writer whose count `number` continues, a new one or, after a loss, the one nearest to it."""
-        behind = [
-            writer for writer in reversed(self.writers) if writer.last < number
-        ]  # the latest may be a restart
+        # the latest may be a restart
+        behind = [writer for writer in reversed(self.writers) if writer.last < number]
         nearest = max(behind, key=lambda writer: writer.last, default=None)
         if nearest is not None and (
             nearest.last + 1 == number or (number > 1 and len(self.writers) >= self._matched())

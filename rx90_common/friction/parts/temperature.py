@@ -14,7 +14,7 @@ torque and Stribeck velocity grow linearly. With their names
 
 The law holds from `lowest` to `highest`. Start and surroundings must be in this range, and the linear factors positive.
 As the joint is only heated, it never gets colder than both. A joint that gets warmer than `highest` keeps the friction
-of that temperature, which is reported (`JointTemperatures.beyond_law`).
+of that temperature, which is reported (`rx90_sim.plant.beyond_law`).
 
 The joint is one thermal node:
 

@@ -33,22 +33,17 @@ from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
 
 _VALIDATION_TEMPO = 0.75
 _SMOOTH = 0.1  # rad/s, over which the sign of the velocity changes in the search
-_DIFFERENCE = (
-    1e-4  # rad and rad/s: derivatives are differences; distances of shapes are right to 1e-6 m
-)
+# rad and rad/s: derivatives are differences; distances of shapes are right to 1e-6 m
+_DIFFERENCE = 1e-4
 _RIDGE = 1e-9  # of the squared length of a column: a less excited one counts as not excited
 _LEAST_ROOM = 0.05  # rad, of a random motion about a home at the end of a joint's range
 _RANDOM_STARTS = 12  # random series, the best of which is improved
-_SAMPLES_PER_HARMONIC = (
-    16  # samples in a period of the fastest sine: a peak between two is missed by 2 %
-)
-_SPATIAL_STRIDE = (
-    4  # samples from one computed distance to the next: distances are smooth, and take longest
-)
-_LIMIT_COSTS = (
-    1.0,
-    50.0,
-)  # of exceeding a limit by its whole size at one sample: at first walls are soft
+# samples in a period of the fastest sine: a peak between two is missed by 2 %
+_SAMPLES_PER_HARMONIC = 16
+# samples from one computed distance to the next: distances are smooth, and take longest
+_SPATIAL_STRIDE = 4
+# of exceeding a limit by its whole size at one sample: at first walls are soft
+_LIMIT_COSTS = (1.0, 50.0)
 _MAX_LINE_EVALUATIONS = 50  # of a step: a step into a wall would need thousands
 _MARGIN = 0.02  # of a limit, that a search keeps for the motion between its samples
 _CHECK_STEP_S = 0.01  # s between samples at which a motion is checked for the limits

@@ -132,9 +132,8 @@ def follow_trajectory(
         run.see(set_points.time, set_points.position, time.monotonic())
         show(run.elapsed)
         client.spin()
-        time.sleep(
-            POLL / 2.0
-        )  # the newest message suffices; in between the processor is left to the nodes
+        # the newest message suffices; in between the processor is left to the nodes
+        time.sleep(POLL / 2.0)
     return run.end
 
 
@@ -165,10 +164,8 @@ class FollowedTrajectory:
         self._before = before
         self._timeout = timeout
         self._newest = (-math.inf, 0.0)  # time, and when it came by the wall clock
-        self._due = (
-            math.inf,
-            math.inf,
-        )  # of both clocks: without a pace, seconds pass while a message is on its way
+        # of both clocks: without a pace, seconds pass while a message is on its way
+        self._due = (math.inf, math.inf)
         self.elapsed = 0.0
         self.end = math.inf
         self.done = False

@@ -170,9 +170,8 @@ _SAMPLING_PERIOD = Rates().position_period  # s, that of joint_states too
 _MAX_LOG_SHIFT = 0.1  # of the logarithm of a speed
 _SPEED_CANDIDATES = 401
 _BEAT_DENOMINATORS = (1, 2, 3, 4)
-_AVERAGED_OUT = (
-    0.25  # distance from a beat, times the denominator, beyond which the ripple averages out
-)
+# distance from a beat, times the denominator, beyond which the ripple averages out
+_AVERAGED_OUT = 0.25
 
 
 def sweep_speeds(

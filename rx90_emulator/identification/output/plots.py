@@ -23,9 +23,8 @@ DIFFERENCE: Final = COLOURS[6]
 _SPEED = "velocity of the element, rad/s"
 _INTERVAL = 1.96  # standard deviations, 95 %
 _RESIDUAL = "measured - identified"
-_DRAWN_SHARE = (
-    20  # one of so many parts of a micro-oscillation is drawn: more loops would cover each other
-)
+# one of so many parts of a micro-oscillation is drawn: more loops would cover each other
+_DRAWN_SHARE = 20
 
 
 def compared(

@@ -276,9 +276,8 @@ def filter_record(
             f"{record.source}: bandwidths of {bandwidths.position:.4g} and {bandwidths.torque:.4g} Hz at "
             f"{rate:.4g} samples per second; accepted: up to {0.45 * rate:.4g} and {0.22 * rate:.4g} Hz"
         )
-    edge = (
-        math.ceil(1.5 * rate / bandwidths.position) + _SPLINE_END
-    )  # three time constants of the slowest pole
+    # three time constants of the slowest pole
+    edge = math.ceil(1.5 * rate / bandwidths.position) + _SPLINE_END
     shortest = 2 * edge + _kaiser(rate, bandwidths.torque)[0] + 1
     pieces = _pieces(record.time, BRIDGED_PERIODS / bandwidths.position)
     whole = [slice(*piece) for piece in pieces if piece[1] - piece[0] >= shortest]
@@ -405,9 +404,8 @@ def low_pass(values: Array, taps: Array, down: int = 1) -> Array:
     """
     count = max(0, (len(values) - len(taps)) // down + 1)
     columns = np.ascontiguousarray(values.reshape(len(values), -1).T)
-    before = (
-        -(len(taps) - 1) % down
-    )  # zeros that put a result of the filter bank on the first whole length
+    # zeros that put a result of the filter bank on the first whole length
+    before = -(len(taps) - 1) % down
     first = (len(taps) - 1 + before) // down
     filtered = upfirdn(taps, np.pad(columns, ((0, 0), (before, 0))), 1, down)[
         :, first : first + count

@@ -33,9 +33,8 @@ LOWEST_RATE = 500.0
 """Samples per second below which the damping of the bristles is not separable from a delay."""
 INERTIA_SD = 0.05
 """Prior standard deviation of the errors of the mass matrix, in units of sqrt(M_jj M_ii)."""
-_START_SD = (
-    0.3  # prior standard deviation of a start deflection, in units of that of steady sliding
-)
+# prior standard deviation of a start deflection, in units of that of steady sliding
+_START_SD = 0.3
 _BLOCK = 8  # steps in a block mean
 _BAND_HZ = (2.0, 50.0)  # compared band: below are creep and weight, above is noise
 _DETECTION_HZ = (2.0, 60.0)
@@ -45,19 +44,16 @@ _MAX_EXCURSION = 4e-3  # rad within a span; beyond it the bristles slide, and dr
 _MIN_OSCILLATION = 5e-6  # rad, RMS; smaller ones are below the resolution of usual encoders
 _MIN_MOTION_S = 0.8
 _MAX_MOTION_S = 10.0
-_MIN_OWN_TORQUE = (
-    2.0  # least ratio to the torque of the other joints' accelerations: more than a reaction
-)
-_MIN_STEP_S = (
-    0.00025  # least step of the simulation: torques that were recorded faster are averaged over it
-)
+# least ratio to the torque of the other joints' accelerations: more than a reaction
+_MIN_OWN_TORQUE = 2.0
+# least step of the simulation: torques that were recorded faster are averaged over it
+_MIN_STEP_S = 0.00025
 _LOW_PASS_HZ = 200.0  # above which positions contain little but the encoder's noise
 _MAX_GAP_S = 3e-3  # longest gap that is interpolated or, if longer,
 _MAX_GAP_SAMPLES = 2.5
 _TRANSIENT_S = 0.01  # on both sides of a gap that its transient reaches through the low-pass
-_SPIKE_BLOCK_S = (
-    1.0  # over which spikes are compared with the range: in a small motion small spikes show
-)
+# over which spikes are compared with the range: in a small motion small spikes show
+_SPIKE_BLOCK_S = 1.0
 _DIFFERENCE = 1e-4  # of the parameters, for difference quotients
 _DISTANCES = (3e-5, 1e-4, 3e-4, 1e-3)  # rad of presliding, tau_c / c0, that a search begins with
 _DAMPING_S = 1e-3  # s, c1 / c0 that it begins with

@@ -29,16 +29,13 @@ _NOISE_SD = 6.0  # standard deviations of the noise of a change that are no chan
 _MOST_NOISE = 0.75  # of the velocity, which keeps its sign
 _NOISE_WINDOW_S = 2.0  # over which the noise is estimated, from
 _NOISE_SAMPLES = 21
-_MAD_TO_DEVIATION = (
-    1.4826  # and that of a change over that of its second difference, for white noise of positions:
-)
+# and that of a change over that of its second difference, for white noise of positions:
+_MAD_TO_DEVIATION = 1.4826
 _CHANGE_SHARE = np.sqrt(6.0 / 70.0)
-_SETTLE_S = (
-    0.25  # for the servo loops after a change of velocity: their integrators' pole is near 20 /s
-)
-_SETTLE_SHARE = (
-    0.5  # of a plateau, within which bristles must settle for the element to count as sliding
-)
+# for the servo loops after a change of velocity: their integrators' pole is near 20 /s
+_SETTLE_S = 0.25
+# of a plateau, within which bristles must settle for the element to count as sliding
+_SETTLE_SHARE = 0.5
 _TREND_BLOCKS = 8  # of a plateau, to which a parabola is fitted
 _MAX_BEND = 0.02  # of the velocity, change of the parabola over the plateau, if
 _BEND_SD = 3.0  # standard deviations of the blocks' scatter or more

@@ -74,11 +74,8 @@ _RANDOM_MOTIONS = 60  # each gives as many equations as there are joints
 _SEED = 20100
 _INDEPENDENT_SHARE = 1e-5  # least part of an independent column outside the others' space; 1.5708 for pi/2 leaves less
 _MIN_COEFFICIENT = 1e-5  # in a group, for the same reason
-_REGROUPED_KINDS = (
-    "m_",
-    "mz_",
-    "Iyy_",
-)  # kinds that join other groups by Khalil's convention: they come last
+# kinds that join other groups by Khalil's convention: they come last
+_REGROUPED_KINDS = ("m_", "mz_", "Iyy_")
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +118,8 @@ class BaseGroups:
             range(len(names)), key=lambda k: (names[k].startswith(_REGROUPED_KINDS), k)
         ):
             remainder = matrix[:, k] - basis @ (basis.T @ matrix[:, k])
-            remainder = remainder - basis @ (
-                basis.T @ remainder
-            )  # once more: rounding of the first pass
+            # once more: rounding of the first pass
+            remainder = remainder - basis @ (basis.T @ remainder)
             norm = float(np.linalg.norm(remainder))
             if size[k] > _INDEPENDENT_SHARE * size.max() and norm > _INDEPENDENT_SHARE * size[k]:
                 basis = np.column_stack([basis, remainder / norm])

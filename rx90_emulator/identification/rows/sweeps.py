@@ -30,9 +30,8 @@ from rx90_emulator.identification.rows.plateaus import BagUse, Plateau, find_pla
 from rx90_emulator.identification.sanity import LAGS
 
 _TRIMMED = 0.15  # of a block's samples at either end of their order: spikes
-_LONGEST_S = (
-    2.0  # plateau that weighs more than shorter ones: beyond it the mean has what all samples share
-)
+# plateau that weighs more than shorter ones: beyond it the mean has what all samples share
+_LONGEST_S = 2.0
 _INDEPENDENT = 1e-9
 
 

@@ -55,9 +55,8 @@ from rx90_emulator.measured_runs.compare import (
 
 _MAX_WEIGHT_SD = 0.05  # standard deviation over RMS torque up to which a joint's error of the weights is corrected
 _BRISTLE_STEP_S = 1e-3  # s, longest step of constant velocity
-_MAX_BANDWIDTH_OVER_RATE = (
-    0.3  # of the positions, if a bag is slower than those of the identification
-)
+# of the positions, if a bag is slower than those of the identification
+_MAX_BANDWIDTH_OVER_RATE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -368,7 +367,7 @@ def _tip_difference(
     first = int(np.searchsorted(record.time, reference.time[0] - 1e-9))
     start = np.clip(record.position[first], setup.robot.lower, setup.robot.upper)
     identified = replace(setup, friction=FrictionSet(setup.friction.names, lugre))
-    _, slow, _ = run_along(identified, setpoint_rows(position, velocity, setup), start)
+    slow = run_along(identified, setpoint_rows(position, velocity, setup), start).slow
     recorded = np.column_stack(
         [np.interp(reference.time, record.time, joint) for joint in record.position.T]
     )

@@ -281,12 +281,12 @@ def test_a_tip_is_laid_under_the_path(shipped: Setup, task: rx.LineTask, tmp_pat
     assert same == pytest.approx(error, abs=1e-8)
     half = rows[: len(rows) // 2]
     with pytest.raises(ConfigError, match="accepted: a record of all of the path"):
-        laid_under(half[:, 0], half[:, 1:] / 1e3, nominal.tip, 1e-3, nominal.counts, "half")
+        laid_under(half[:, 0], half[:, 1:] / 1e3, nominal.tip, nominal, "half")
     torn = np.delete(rows, slice(len(rows) // 2, len(rows) // 2 + 30), axis=0)
     with pytest.raises(
         ConfigError, match=r"nothing for 0\.0527 s from 4.* s on, within the path; accepted: a record wit"
     ):
-        laid_under(torn[:, 0], torn[:, 1:] / 1e3, nominal.tip, 1e-3, nominal.counts, "torn")
+        laid_under(torn[:, 0], torn[:, 1:] / 1e3, nominal.tip, nominal, "torn")
 
 
 def test_any_trajectory_is_a_path(shipped: Setup, task: rx.LineTask) -> None:

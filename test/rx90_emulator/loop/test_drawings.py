@@ -24,7 +24,7 @@ from rx90_emulator.loop.path_file import load_path
 def _read(folder: File, name: str, text: str, **more: Any) -> Path:
     file = folder / name
     file.write_text(text)
-    return Path(*Drawing(file, **more).read())
+    return Path(*Drawing(name=str(file), **more).read())
 
 
 def test_a_drawing_is_laid_where_its_origin_and_axes_are(tmp_path: File, drawing: Any) -> None:
@@ -32,7 +32,7 @@ def test_a_drawing_is_laid_where_its_origin_and_axes_are(tmp_path: File, drawing
     space = drawing.modelspace()
     space.add_arc((0.0, 0.0), 10.0, 0.0, 90.0)
     space.add_line((0.0, 10.0), (-20.0, 10.0))
-    place = {"origin": (0.5, 0.1, 0.2), "rpy": (0.0, 0.0, math.pi / 2)}
+    place = {"origin": (0.5, 0.1, 0.2), "rpy_degrees": (0.0, 0.0, 90.0)}
     turned = _dxf(tmp_path, drawing, zone=0.002, **place)
     ends = turned.curve.at(np.array([0.0, turned.length]))
     np.testing.assert_allclose(ends, [(0.5, 0.11, 0.2), (0.49, 0.08, 0.2)], atol=1e-9)
@@ -131,7 +131,7 @@ def drawing() -> Any:
 
 def _dxf(folder: File, document: Any, **more: Any) -> Path:
     document.saveas(folder / "part.dxf")
-    return Path(*Drawing(folder / "part.dxf", **more).read())
+    return Path(*Drawing(name=str(folder / "part.dxf"), **more).read())
 
 
 def test_dxf_entities_are_joined_in_their_order(tmp_path: File, drawing: Any) -> None:
@@ -351,7 +351,7 @@ def test_a_file_that_would_take_the_memory_is_refused_unread(tmp_path: File, nam
         pytest.importorskip("ezdxf")
     (tmp_path / name).write_text(part * count)
     with pytest.raises(Rx90Error, match=r"(holds|larger) .*; accepted: up to"):
-        Drawing(tmp_path / name, unit="mm").read()
+        Drawing(name=str(tmp_path / name), unit="mm").read()
 
 
 NO_SPLINES = {

@@ -69,19 +69,6 @@ def test_half_a_file_of_arrays_does_not_stay(
     assert not file.exists()
 
 
-@pytest.mark.parametrize(
-    ("key", "odd"), [("positions", "postions"), ("time_from_start", "time_from_strat"), ("nanosec", "nansec")]
-)
-def test_a_misspelt_key_of_a_trajectory_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str, odd: str
-) -> None:
-    """Also a key that may be left out; a header is not looked at."""
-    file = tmp_path / "move.yaml"
-    file.write_text("header: {frame_id: base}\n" + LATER.replace(key, odd))
-    assert run("rx90 run", [str(file)]) == 2
-    assert f"{odd} is not a known key (did you mean {key}?); accepted: " in capsys.readouterr().err
-
-
 def test_an_initial_position_has_a_number_for_each_joint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The seven-joint arm begins where seven numbers say, and eight are refused."""
     names = ", ".join(f"panda_joint{number}" for number in range(1, 8))

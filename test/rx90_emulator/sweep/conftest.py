@@ -6,28 +6,25 @@ from pathlib import Path
 
 import pytest
 
-from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.sweep.plan import Block, LogUniform, SweepBase, SweepPlan, SweptParameter, Uniform, Values
+from rx90_emulator.sweep.plan import SweepPlan
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
 
 @pytest.fixture(scope="session")
 def plan(task_file: Path) -> SweepPlan:
     """Return 40 runs, four of which fail: a grid of two switches by ten draws, twenty draws of one robot."""
-    stiffness = SweptParameter("friction.*.c0", factor=True, space=LogUniform(0.5, 2.0))
-    inertia = SweptParameter(
-        "rotors", paths=("drives.rotor_inertia[*]",), factor=True, space=Uniform(0.8, 1.2), each=True
-    )
-    switch = SweptParameter("viscous", paths=("controller.feed_forward.viscous",), space=Values((True, False)))
-    masses = SweptParameter("arm.link_3.mass", space=Values((8.0, 12.0, -1.0, 16.0, 20.0)))
-    return SweepPlan(
-        (
-            Block("scatter", (switch,), (stiffness, inertia), draws=10),
-            Block("payload", (masses, switch), (stiffness,), draws=2),
-        ),
-        seed=7,
-        base=SweepBase(RobotFiles(task=task_file)),
-    )
+    stiffness = {"factor": {"loguniform": [0.5, 2.0]}}
+    inertia = {"paths": ["drives.rotor_inertia[*]"], "factor": {"uniform": [0.8, 1.2]}, "each": True}
+    switch = {"paths": ["controller.feed_forward.viscous"], "value": [True, False]}
+    scatter = {"grid": {"viscous": switch}, "random": {"friction.*.c0": stiffness, "rotors": inertia}, "draws": 10}
+    masses = {"value": [8.0, 12.0, -1.0, 16.0, 20.0]}
+    payload = {
+        "grid": {"arm.link_3.mass": masses, "viscous": switch},
+        "random": {"friction.*.c0": stiffness},
+        "draws": 2,
+    }
+    content = {"seed": 7, "base": {"task": str(task_file)}, "blocks": {"scatter": scatter, "payload": payload}}
+    return SweepPlan.model_validate(content)
 
 
 @pytest.fixture(scope="session")

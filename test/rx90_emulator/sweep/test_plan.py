@@ -19,18 +19,7 @@ from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.parameters import Catalogue
-from rx90_emulator.sweep.plan import (
-    Block,
-    Distribution,
-    LogUniform,
-    Normal,
-    SweepPlan,
-    SweptParameter,
-    Uniform,
-    Values,
-    load_sweep_plan,
-    plan_hash,
-)
+from rx90_emulator.sweep.plan import DrawnValues, NormalDistribution, SweepPlan, load_sweep_plan, plan_hash
 from rx90_emulator.sweep.runs import RunDescription, RunList
 from rx90_emulator.sweep.sweep import Sweep
 
@@ -54,22 +43,24 @@ blocks:
 
 
 @pytest.mark.parametrize(
-    ("distribution", "oracle"),
+    ("given", "oracle"),
     [
-        (Uniform(-1.0, 3.0), stats.uniform(-1.0, 4.0)),
-        (LogUniform(1e-3, 10.0), stats.loguniform(1e-3, 10.0)),
-        (Normal(1.0, 0.2), stats.norm(1.0, 0.2)),
-        (Normal(1.0, 0.2, low=0.7), stats.truncnorm(-1.5, np.inf, 1.0, 0.2)),
-        (Normal(1.0, 0.2, low=0.9, high=1.6), stats.truncnorm(-0.5, 3.0, 1.0, 0.2)),
+        ({"uniform": [-1.0, 3.0]}, stats.uniform(-1.0, 4.0)),
+        ({"loguniform": [1e-3, 10.0]}, stats.loguniform(1e-3, 10.0)),
+        ({"normal": {"mean": 1.0, "deviation": 0.2}}, stats.norm(1.0, 0.2)),
+        ({"normal": {"mean": 1.0, "deviation": 0.2, "low": 0.7}}, stats.truncnorm(-1.5, np.inf, 1.0, 0.2)),
+        ({"normal": {"mean": 1.0, "deviation": 0.2, "low": 0.9, "high": 1.6}}, stats.truncnorm(-0.5, 3.0, 1.0, 0.2)),
     ],
 )
-def test_quantiles(distribution: Distribution, oracle: Any) -> None:
+def test_quantiles(given: dict[str, Any], oracle: Any) -> None:
     """The quantiles are SciPy's, finite and within the bounds even at the ends of the generator's range."""
+    distribution = DrawnValues.model_validate(given)
+    low, high = distribution.bounds
     for share in SHARES:
         value = distribution.quantile(share)
         assert math.isfinite(value)
         assert value == pytest.approx(oracle.ppf(share), rel=1e-7, abs=1e-12)
-        assert isinstance(distribution, Normal) or distribution.low <= value <= distribution.high
+        assert low <= value <= high
 
 
 def written(folder: Path, text: str) -> Path:
@@ -83,13 +74,15 @@ def written(folder: Path, text: str) -> Path:
 def test_everything_is_read(tmp_path: Path) -> None:
     """Each form of values and distributions, the base and the seed arrive in the plan."""
     plan = load_sweep_plan(written(tmp_path, FULL))
-    (block,) = plan.blocks
+    block = plan.blocks["both"]
     assert (plan.seed, plan.base.substeps, plan.base.rates.base_hz) == (5, 2, 8000)
     assert plan.base.files.task == tmp_path / "line.yaml"
-    assert [p.space for p in block.grid] == [Values((0.5, 1.0, 2.0)), Values((0.1, 0.2)), Values((True, False))]
-    assert [p.space for p in block.random] == [Uniform(0.5, 2.0), LogUniform(1.0, 5.0), Normal(1.0, 0.1, low=0.5)]
-    assert [p.each for p in block.random] == [True, False, False]
-    assert block.grid[2].paths == ("controller.feed_forward.*",)
+    assert [p.space for p in block.listed.values()] == [(0.5, 1.0, 2.0), (0.1, 0.2), (True, False)]
+    uniform, loguniform, normal = (p.space for p in block.drawn.values())
+    assert (uniform.uniform, loguniform.loguniform) == ((0.5, 2.0), (1.0, 5.0))
+    assert normal.normal == NormalDistribution(mean=1.0, deviation=0.1, low=0.5)
+    assert [p.each for p in block.drawn.values()] == [True, False, False]
+    assert block.listed["switches"].paths == ("controller.feed_forward.*",)
     assert plan.runs == 3 * 2 * 2 * 20
 
 
@@ -133,7 +126,7 @@ def test_shipped_and_documented_plans_fit(
         ("{}", "blocks.a: has no parameters; accepted: one or both of grid, random"),
         ("{grid: {task.speed: {value: [0.1, 0.1]}}}", "0.1 stands twice"),
         ("{grid: {task.speed: {value: [1], factor: [1]}}}", "has value and factor of value, factor; accepted: one"),
-        ("{grid: {task.speed: {value: [1], each: true}}}", "in random draws only"),
+        ("{grid: {task.speed: {value: [1], each: true}}}", "speed.each is not a known key; accepted: value"),
         ("{grid: {task.sped: {value: [1]}}}", "'sped' is unknown (did you mean speed?); accepted there: accel"),
         ("{grid: {friction.*.c0: {factor: [1]}, friction.joint_2.c0: {factor: [1]}}}", "both set friction.joint_2.c0"),
         ("{grid: {x: {paths: [task.speed, task.speed], value: [1]}}}", "set a value twice"),
@@ -170,14 +163,12 @@ def test_a_plan_names_a_robot_and_an_option_another(tmp_path: Path) -> None:
     assert own.urdf == tmp_path / "my_arm" / "robot.urdf"
 
 
-def parameter(path: str, *values: float, factor: bool = True) -> SweptParameter:
-    """Return a grid's parameter."""
-    return SweptParameter(path, factor=factor, space=Values(values))
+DRAWN = {"factor": {"uniform": [1.0, 2.0]}}
 
 
-def drawn(path: str) -> SweptParameter:
-    """Return a random factor between 1 and 2."""
-    return SweptParameter(path, factor=True, space=Uniform(1.0, 2.0))
+def plan_of(seed: int = 0, **blocks: dict[str, Any]) -> SweepPlan:
+    """Return the plan of some blocks."""
+    return SweepPlan.model_validate({"seed": seed, "blocks": blocks})
 
 
 def all_runs(plan: SweepPlan, catalogue: Catalogue) -> list[RunDescription]:
@@ -188,25 +179,25 @@ def all_runs(plan: SweepPlan, catalogue: Catalogue) -> list[RunDescription]:
 
 def test_grid_is_the_full_product(catalogue: Catalogue) -> None:
     """A grid has every combination once, the last parameter varying fastest, and blocks follow each other."""
-    first = Block("a", (parameter("task.speed", 1.0, 2.0), parameter("friction.*.c0", 3.0, 4.0, 5.0)))
-    runs = all_runs(SweepPlan((first, Block("b", (parameter("task.speed", 6.0),)))), catalogue)
+    first = {"grid": {"task.speed": {"factor": [1.0, 2.0]}, "friction.*.c0": {"factor": [3.0, 4.0, 5.0]}}}
+    runs = all_runs(plan_of(a=first, b={"grid": {"task.speed": {"factor": [6.0]}}}), catalogue)
     assert [tuple(v for _, v in run.values) for run in runs] == [*product((1.0, 2.0), (3.0, 4.0, 5.0)), (6.0,)]
     assert [run.index for run in runs] == list(range(7))
 
 
 def test_runs_do_not_depend_on_how_many_are_asked_for(catalogue: Catalogue) -> None:
     """More draws, blocks before it and parameters after it leave the values of a run as they are."""
-    block = Block("a", (parameter("task.speed", 1.0, 2.0),), (drawn("friction.*.c0"),), draws=3)
-    other = Block("other", (parameter("task.speed", 3.0),), (drawn("friction.*.c1"),), draws=4)
-    wider = replace(block, random=(*block.random, drawn("friction.*.c2")))
-    few = all_runs(SweepPlan((block,), seed=1), catalogue)
-    many = all_runs(SweepPlan((replace(block, draws=9),), seed=1), catalogue)
-    after = all_runs(SweepPlan((other, block), seed=1), catalogue)[4:]
-    more = all_runs(SweepPlan((wider,), seed=1), catalogue)
+    block = {"grid": {"task.speed": {"factor": [1.0, 2.0]}}, "random": {"friction.*.c0": DRAWN}, "draws": 3}
+    other = {"grid": {"task.speed": {"factor": [3.0]}}, "random": {"friction.*.c1": DRAWN}, "draws": 4}
+    wider = {**block, "random": {"friction.*.c0": DRAWN, "friction.*.c2": DRAWN}}
+    few = all_runs(plan_of(1, a=block), catalogue)
+    many = all_runs(plan_of(1, a={**block, "draws": 9}), catalogue)
+    after = all_runs(plan_of(1, other=other, a=block), catalogue)[4:]
+    more = all_runs(plan_of(1, a=wider), catalogue)
     assert many[:6] == few
     assert [(r.seed, r.values) for r in after] == [(r.seed, r.values) for r in few]
     assert [r.values[:2] for r in more] == [r.values for r in few]
-    assert all_runs(SweepPlan((block,), seed=2), catalogue)[0].values != few[0].values
+    assert all_runs(plan_of(2, a=block), catalogue)[0].values != few[0].values
     values = [dict(run.values)["friction.*.c0"] for run in many]
     assert values[0::2] == values[1::2]
     assert len(set(values)) == 9
@@ -214,8 +205,8 @@ def test_runs_do_not_depend_on_how_many_are_asked_for(catalogue: Catalogue) -> N
 
 def test_the_seed_gives_the_draws(catalogue: Catalogue) -> None:
     """NumPy's default generator, seeded with a run's seed, gives the shares that its values stand for."""
-    stiffness = SweptParameter("friction.*.c0", factor=True, space=LogUniform(0.5, 2.0), each=True)
-    for one in all_runs(SweepPlan((Block("a", (), (stiffness,), draws=3),), seed=3), catalogue):
+    stiffness = {"factor": {"loguniform": [0.5, 2.0]}, "each": True}
+    for one in all_runs(plan_of(3, a={"random": {"friction.*.c0": stiffness}, "draws": 3}), catalogue):
         expected = 0.5 * 4.0 ** np.random.default_rng(one.seed).random(7)
         np.testing.assert_allclose([v for _, v in one.values], expected, rtol=1e-12)
         assert [name for name, _ in one.values][-1] == "friction.joint_5_6.c0"
@@ -223,13 +214,13 @@ def test_the_seed_gives_the_draws(catalogue: Catalogue) -> None:
 
 def test_factor_and_value(catalogue: Catalogue) -> None:
     """A factor multiplies each place's own number, a value replaces it; a column holds one of the two."""
-    plan = SweepPlan((Block("a", (parameter("friction.*.c0", 2.0), parameter("drives.gear[*]", 50.0, factor=False))),))
-    runs = RunList(plan, catalogue)
+    grid = {"friction.*.c0": {"factor": [2.0]}, "drives.gear[*]": {"value": [50.0]}}
+    runs = RunList(plan_of(a={"grid": grid}), catalogue)
     changes = runs.changes(runs.describe(0))
     friction = [value for leaf, value in changes.items() if leaf.key[0] == "friction"]
     assert friction == [2.0e5, 2.2e5, 1.4e5, 3.0e4, 2.0e4, 1.0e4, 8.0e3]
     assert [v for t, v in changes.items() if t.key[0] == "drives"] == [50.0] * 6
     assert runs.columns[0].unit == "1"
-    both = Block("a", (parameter("task.speed", 2.0),)), Block("b", (parameter("task.speed", 2.0, factor=False),))
+    both = [{"grid": {"task.speed": {kind: [2.0]}}} for kind in ("factor", "value")]
     with pytest.raises(ConfigError, match="means something else"):
-        RunList(SweepPlan(both), catalogue)
+        RunList(plan_of(a=both[0], b=both[1]), catalogue)

@@ -7,7 +7,6 @@ import os
 import re
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -104,7 +103,7 @@ def test_existing_results_are_safe(output: Path, sweep: Sweep) -> None:
     before = output.read_bytes()
     with pytest.raises(SweepError, match=r"exists; accepted: another output, or resume"):
         ResultStore(output, sweep)
-    other = Sweep(replace(sweep.plan, seed=8))
+    other = Sweep(sweep.plan.replaced(seed=8))
     with pytest.raises(SweepError, match="has other plan and files"):
         ResultStore(output, other, resume=True)
     changed = Sweep(sweep.plan)

@@ -216,8 +216,6 @@ def test_the_largest_is_that_of_the_run(shipped: Setup, page: Page, of: str) -> 
     for ours, theirs, error in (
         (found.orientation, expected.orientation, 1e-9), (found.along_track, expected.along_track, 1e-8)
     ):  # fmt: skip
-        assert ours is not None
-        assert theirs is not None
         np.testing.assert_allclose(ours[:count], theirs, atol=error)
     assert np.isfinite(seen).sum() == (found.times >= times[LATE]).sum()
     assert found.worst == pytest.approx(expected.worst)

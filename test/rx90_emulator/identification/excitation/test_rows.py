@@ -212,7 +212,7 @@ def test_a_bristle_shows_along_the_motion(tmp_path: Path) -> None:
     arm = random_arm(11, 2, coupled=False, stribeck=False, bristles=True)
     runs = runs_of(arm, 500.0, NOISE, Bandwidths(120.0, 40.0), seeds=(1, 2), periods=1)
     problem = ExcitationProblem.of(rigid_arm(arm, tmp_path), runs)
-    fitted = fit_arm(problem, [Part.BRISTLE], bristles=True)
+    fitted = fit_arm(problem, [Part.BRISTLE], fixed=True)
     assert any(law == Law(frozenset({Part.BRISTLE})) for law in fitted.laws)
     size: Array = simplest_fit(problem).fit.residual
     assert np.linalg.norm(fitted.fit.residual) < np.linalg.norm(size)

@@ -22,20 +22,6 @@ pytestmark = pytest.mark.ros
 PAGE = Path(__file__).parents[4] / "docs/howto/action.md"
 
 
-def test_names_and_types_are_those_of_the_original(bench: Bench) -> None:
-    """Action, topics and service are where clients of joint_trajectory_controller look for them, with their types."""
-    from rclpy.action import get_action_names_and_types
-
-    node = bench.client.node
-    actions = dict(get_action_names_and_types(node))
-    assert actions["/rx90_controller/follow_joint_trajectory"] == ["control_msgs/action/FollowJointTrajectory"]
-    topics, services = dict(node.get_topic_names_and_types()), dict(node.get_service_names_and_types())
-    assert topics["/rx90_controller/joint_trajectory"] == ["trajectory_msgs/msg/JointTrajectory"]
-    assert topics["/rx90_controller/controller_state"] == ["control_msgs/msg/JointTrajectoryControllerState"]
-    assert topics["/rx90_controller/speed_scaling_input"] == ["control_msgs/msg/SpeedScalingFactor"]
-    assert services["/rx90_controller/query_state"] == ["control_msgs/srv/QueryTrajectoryState"]
-
-
 def test_its_parameter_file_serves(bench: Bench) -> None:
     """What is in a file for joint_trajectory_controller and has no counterpart is one line; the rest holds."""
     (line,) = [line for line in bench.cell.output.splitlines() if "joint_trajectory_controller" in line]
