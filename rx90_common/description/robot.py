@@ -197,11 +197,11 @@ def load_robot(
     except (ValueError, RuntimeError) as error:
         file.refuse("the URDF", " ".join(str(error).split()), "what Pinocchio can read")
     names = tuple(file.limits)
-    limits = np.array([*file.limits.values()]).T.copy()  # of which each row is contiguous
+    lower, upper, velocity, effort = np.array([*file.limits.values()]).T.copy()  # contiguous rows
     frame = _tcp_frame(file, model, tool is not None)
     chain = rigid_chain(file, frame)
     placements = tuple(file.placements())
-    return RobotModel(names, text, model, *limits, chain, frame, placements)
+    return RobotModel(names, text, model, lower, upper, velocity, effort, chain, frame, placements)
 
 
 def _tcp_frame(file: UrdfFile, model: Any, has_tool: bool) -> str:
