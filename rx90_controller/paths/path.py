@@ -413,9 +413,9 @@ class Path(TipTask):
         most = _RESERVE * most
         short = slope * self.acceleration + bend * requested[:, None] ** 2 > most
         with np.errstate(divide="ignore", invalid="ignore"):
-            allowed = np.where(short & (slope > 0.0), _ACCELERATION_SHARE * most / slope, np.inf)
+            allowed = np.where(short, _ACCELERATION_SHARE * most / slope, np.inf)
             acceleration = np.minimum(allowed.min(axis=1), self.acceleration)
-            turning = np.where(slope > 0.0, velocity / slope, np.inf)
+            turning = velocity / slope
             rest = np.maximum(most - slope * acceleration[:, None], 0.0)
             bending = np.where(bend > 0.0, np.sqrt(rest / bend), np.inf)
         both = np.stack([turning, bending])
