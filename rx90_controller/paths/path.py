@@ -352,9 +352,10 @@ class Path(TipTask):
         second[:, :3] = self.curve.at(distance, 2)
         if self.orientation == TANGENT:
             tool = rpy_rotation(self.start_rpy)
-            (x, y) = rotated(transposed(tool), self.curve.at(distance, 1)).T[:2]
-            (dx, dy) = rotated(transposed(tool), self.curve.at(distance, 2)).T[:2]
-            (ddx, ddy) = rotated(transposed(tool), self.curve.at(distance, 3)).T[:2]
+            along = np.array([self.curve.at(distance, order) for order in (1, 2, 3)])
+            seen = rotated(transposed(tool), along)
+            x, dx, ddx = seen[:, :, 0]
+            y, dy, ddy = seen[:, :, 1]
             horizontal = x * x + y * y
             rate = (x * dy - y * dx) / horizontal
             change = (x * ddy - y * ddx) / horizontal - 2.0 * rate * (x * dx + y * dy) / horizontal
