@@ -37,7 +37,7 @@ from scipy.optimize import least_squares
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import listed, quoted
+from rx90_common.base.quoting import listed
 from rx90_common.description.robot import joint_of
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.identification.arm import RigidArm
@@ -123,11 +123,6 @@ def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], A
         for one in root.iter("joint")
         if (child := one.find("child")) is not None
     }
-    for name in joints:
-        if name not in own:
-            raise IdentificationError(
-                f"no joint {quoted(name)} in the URDF; accepted: {listed(own)}"
-            )
     model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
     fixed_joints = [k for k in range(1, model.njoints) if model.names[k] not in joints]
     model = pin.buildReducedModel(model, fixed_joints, pin.neutral(model))

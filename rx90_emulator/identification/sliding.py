@@ -38,6 +38,8 @@ _SAME_SPEED_RATIO = 1.1  # of speeds, up to which they count as one
 # deviation of the difference of two Coulomb torques, over their sum, that tells both
 _MOST_DIFFERENCE = 0.1
 _MAX_RELATIVE_SD = 0.3  # relative standard deviation up to which a parameter is identifiable
+# share of an element's friction beyond which its values cannot be trusted to a fourth
+_MOST_UNEXPLAINED = 0.2
 _LINE_POINTS = 100
 _DOES_NOT_SLIDE = "does not slide at constant velocity; accepted: sweeps in both directions"
 
@@ -144,7 +146,11 @@ def identify_sliding(
             spread.determined[place],
         )
         estimates[e] = element.estimate(rows.friction.elements[k].speeds, parts, sources)
-        curves[e] = element.curve(rows, k, result)
+        curve = element.curve(rows, k, result)
+        curves[e] = curve
+        if curve.share > _MOST_UNEXPLAINED:
+            left = f"the law leaves {curve.share:.0%} of the friction of {names[e]} unexplained"
+            doubts = (*doubts, f"{left}; accepted: torques and masses that fit each other")
     scale = arm.inertial_scale()
     first = len(result.x)
     covariance = spread.covariance[first:, first:] * np.outer(scale, scale)

@@ -78,17 +78,21 @@ def test_an_unknown_payload_of_one_kilogram_does_not_move_tau_c(sweeps: Any, arm
 
 
 def test_torques_that_no_weight_explains_are_an_alarm(sweeps: Any, arm: RigidArm) -> None:
-    """Torques in mNm, of motors, or early are said; where no weight moves, as at joint 1, nothing can be told."""
+    """Torques in mNm, of motors, early, or of no friction are said; where no weight moves, nothing can be told."""
     record, _ = sweeps([0, 1, 2, 3], 4)
     right = identify_sliding([record], arm)
     assert right.alarms == ()
     assert [right.scales[f"joint_{k}"] for k in (1, 2)] == pytest.approx([math.nan, 1.0], abs=0.02, nan_ok=True)
     early = np.roll(record.torque, -60, axis=0)
-    wrong = ((1e3, r"is 1e\+03, .* times what"), (0.011, r"is 0\.011, .* times what"), (early, "torques by -[67]. ms"))
-    for change, text in wrong:
-        torque = change if change is early else change * record.torque
-        (alarm,) = identify_sliding([dataclasses.replace(record, torque=torque)], arm).alarms
-        assert re.search(text, alarm)
+    rough = record.torque + 30.0 * np.sin(6.0 * record.position) * (np.arange(6) == 2)
+    wrong = (
+        (1e3 * record.torque, r"is 1e\+03, .* times what"),
+        (0.011 * record.torque, r"is 0\.011, .* times what"),
+        (early, "torques by -[67]. ms"),
+        (rough, "of the friction of joint_3 unexplained"),
+    )
+    for torque, text in wrong:
+        assert re.search(text, identify_sliding([dataclasses.replace(record, torque=torque)], arm).alarms[-1])
 
 
 @pytest.mark.parametrize("common", [0.0, 1e-3])
