@@ -1,7 +1,7 @@
 /* What this rig's firmware is built for. The host reads scales and figures from the HELLO reply and refuses to arm
  * a rig whose figures differ from its rig file. Each may be given to the compiler instead of being edited here:
  * make firmware DEFINES="-DCOUNTS_PER_REV=1000u -DMAX_SPEED=800u"
- * The table of them all, pins included, is in docs/howto/rig_wiring.md. */
+ * The table of them all, pins included, is in docs/reference/rig_protocol.md. */
 #ifndef RIG_CONFIG_H
 #define RIG_CONFIG_H
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from itertools import chain
@@ -274,7 +274,7 @@ def named_at_the_end(path: Path) -> Iterator[Path]:
 
 
 def write_joint_states(
-    path: Path | str, series: Sequence[JointSeries], *, messages: Sequence[SingleMessage] = ()
+    path: Path | str, series: Collection[JointSeries], *, messages: Sequence[SingleMessage] = ()
 ) -> None:
     """Write a bag as if nodes had published these series and the recorder had recorded them.
 
@@ -319,9 +319,9 @@ def write_joint_states(
         for begin in range(0, len(order), _MESSAGES_AT_ONCE):
             rows = order[begin : begin + _MESSAGES_AT_ONCE]
             block = np.empty(len(rows), dtype=object)
-            for k, codec in enumerate(codecs):
+            for k, (codec, whole) in enumerate(zip(codecs, series, strict=True)):
                 of_series = source[rows] == k
-                part = series[k].take(rows[of_series] - first_rows[k])
+                part = whole.take(rows[of_series] - first_rows[k])
                 data = codec.encode_many(part.stamp_ns, part.position, part.velocity, part.effort)
                 block[of_series] = data.view(f"V{data.shape[1]}")[:, 0].tolist()
             bag.write_many(np.array(numbers)[source[rows]], log_ns[rows], block.tolist())

@@ -27,13 +27,13 @@ MADE = {
     "README": "my_arm/report.html my_arm/friction.yaml check.html circle.yaml",
 }
 """What pages leave in the reader's folder besides, by their names."""
-OF_NODES = {"README", "own_motion", "own_controller", "another_arm"}
+OF_NODES = {"README", "own_motion", "own_controller", "controller_check", "another_arm"}
 PAGES = [
     pytest.param(page, id=page.stem, marks=[pytest.mark.ros] * (page.stem in OF_NODES))
     for page in sorted(
         [
             DOCS.parent / "README.md",
-            DOCS / "howto" / "own_controller.md",
+            *(DOCS / "howto" / f"{name}.md" for name in ("own_controller", "controller_check")),
             *(DOCS / "tutorials").glob("*.md"),
             *(DOCS / "start").glob("*.md"),
         ]

@@ -19,8 +19,8 @@ from friction_bench.rig.plant import Shaft, turn
 from friction_bench.rig.rig_file import load_rig
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / f"docs/howto/rig_{name}.md" for name in ("build", "wiring", "calibration")]
-PAGE = "\n".join(path.read_text(encoding="utf-8") for path in PAGES)
+NAMES = ("howto/rig_build", "howto/rig_wiring", "howto/rig_calibration", "reference/rig_protocol")
+PAGE = "\n".join((ROOT / f"docs/{name}.md").read_text(encoding="utf-8") for name in NAMES)
 UNITS = {"k": 1e3, "": 1.0}
 
 
