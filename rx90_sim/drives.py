@@ -33,7 +33,7 @@ from typing import Any
 
 import numpy as np
 
-from rx90_common.base.arrays import Array, Record, vectors
+from rx90_common.base.arrays import Array, Record, record_type
 from rx90_common.description.coupling import add_drive_torques, to_motor
 from rx90_common.description.drives import MAX_TERMS, Cogging, CurrentSensor, Windings
 from rx90_common.friction.bristle import decay
@@ -56,20 +56,18 @@ _STREAM = np.uint64(1 << 32)  # the sequences of the sensors begin away from tho
 
 def cogging_dtype(motors: int) -> np.dtype[np.void]:
     """Return the type of the constants: torque = cosine cos(h angle) - sine sin(h angle)."""
-    return np.dtype(
-        [
-            ("terms", np.int64),
-            ("harmonic", np.float64, MAX_TERMS),
-            ("cosine", np.float64, (MAX_TERMS, motors)),  # Nm, joint side
-            ("sine", np.float64, (MAX_TERMS, motors)),
-        ],
-        align=True,
+    waves = (MAX_TERMS, motors)
+    return record_type(
+        terms=np.int64,
+        harmonic=MAX_TERMS,
+        cosine=waves,  # Nm, joint side
+        sine=waves,
     )
 
 
 def cogging_state_dtype(motors: int) -> np.dtype[np.void]:
     """Return the type of the workspace: of the motors; torques joint side, Nm."""
-    return np.dtype(vectors(motors, "angle", "speed", "torque"), align=True)
+    return record_type(angle=motors, speed=motors, torque=motors)
 
 
 def fill_cogging(record: Any, cogging: Cogging, gear: Array) -> None:
@@ -125,20 +123,16 @@ def add_cogging(
 
 def winding_dtype(motors: int) -> np.dtype[np.void]:
     """Return the type of the constants, motor side."""
-    return np.dtype(
-        [
-            ("used", np.int64),
-            # of the square of the torque at the reference temperature, K/s / Nm^2
-            ("heat", np.float64, (motors)),
-            ("coefficient", np.float64),
-            ("reference", np.float64),
-            ("cooling", np.float64, (motors,)),  # 1/s
-            ("ambient", np.float64),
-            ("initial", np.float64),
-            ("limit", np.float64),
-            ("slope", np.float64),  # share of the peak current for each degree below the limit
-        ],
-        align=True,
+    return record_type(
+        used=np.int64,
+        heat=motors,  # of the square of the torque at the reference temperature, K/s / Nm^2
+        coefficient=(),
+        reference=(),
+        cooling=motors,  # 1/s
+        ambient=(),
+        initial=(),
+        limit=(),
+        slope=(),  # share of the peak current for each degree below the limit
     )
 
 
@@ -215,30 +209,23 @@ def whole_steps(value: Number, step: Number) -> Number:
 
 def sensor_dtype(motors: int) -> np.dtype[np.void]:
     """Return the type of the constants, A."""
-    return np.dtype(
-        [
-            ("used", np.int64),
-            ("seed", np.uint64),
-            *vectors(motors, "offset", "noise", "resolution"),
-            ("gain", np.float64),  # of the current loop, for a tick
-            ("torque_constant", np.float64, (motors,)),
-        ],
-        align=True,
+    return record_type(
+        used=np.int64,
+        seed=np.uint64,
+        offset=motors,
+        noise=motors,
+        resolution=motors,
+        gain=(),  # of the current loop, for a tick
+        torque_constant=motors,
     )
 
 
 def sensor_state_dtype(motors: int) -> np.dtype[np.void]:
     """Return the type of the state."""
-    return np.dtype(
-        [
-            ("counter", np.uint64, (motors,)),
-            *vectors(
-                motors,
-                "error",  # by how much the current is less than without errors, A
-                "torque",  # reported, motor side, Nm
-            ),
-        ],
-        align=True,
+    return record_type(
+        ("counter", np.uint64, (motors,)),
+        error=motors,  # by how much the current is less than without errors, A
+        torque=motors,  # reported, motor side, Nm
     )
 
 

@@ -38,7 +38,7 @@ from typing import Any
 import numpy as np
 
 from rx90_common.arm_dynamics import factorise, mass_and_bias, solve
-from rx90_common.base.arrays import Array, vectors
+from rx90_common.base.arrays import Array, record_type
 from rx90_common.description.coupling import (
     add_drive,
     add_drive_torques,
@@ -66,50 +66,35 @@ _MAX_SAG_ROUNDS = 100
 
 def transmission_dtype(drives: int) -> np.dtype[np.void]:
     """Return the type of the constants."""
-    return np.dtype(
-        [
-            ("flexible", np.int64),  # whether any drive is elastic; if not, nothing below is used
-            ("link_friction", np.int64),  # whether the friction of the joints acts on the links
-            ("elastic", np.int64, (drives,)),
-            *vectors(
-                drives,
-                "rotor",  # joint side, kg m^2
-                "stiffness",  # 0 for rigid drives
-                "damping",
-                "half_play",
-            ),
-        ],
-        align=True,
+    return record_type(
+        ("elastic", np.int64, (drives,)),
+        flexible=np.int64,  # whether any drive is elastic; if not, nothing below is used
+        link_friction=np.int64,  # whether the friction of the joints acts on the links
+        rotor=drives,  # joint side, kg m^2
+        stiffness=drives,  # 0 for rigid drives
+        damping=drives,
+        half_play=drives,
     )
 
 
 def transmission_state_dtype(drives: int) -> np.dtype[np.void]:
     """Return the type of the state."""
-    return np.dtype(
-        [
-            *vectors(
-                drives,
-                "twist",  # motor angle at the gear's output minus that of the driven side, rad
-                "rate",
-                "torque",  # mean over the last step, Nm
-                "friction",  # on the motors, with brakes and cogging, mean over the last step, Nm
-                "link_torque",  # on the links, but for the transmitted one, in the last step, Nm
-            ),
-            # Workspace of a step.
-            *vectors(
-                drives,
-                "acceleration",  # of the twist
-                "twist_mid",
-                "rate_mid",
-                "motor_angle",  # of the joints as the motors have them, rad
-                "motor_velocity",
-                "drive",  # torque of the motors less friction, Nm
-                "offset",  # torque = offset + slope acceleration
-                "slope",
-            ),
-            ("matrix", np.float64, (drives, drives)),
-        ],
-        align=True,
+    return record_type(
+        twist=drives,  # motor angle at the gear's output minus that of the driven side, rad
+        rate=drives,
+        torque=drives,  # mean over the last step, Nm
+        friction=drives,  # on the motors, with brakes and cogging, mean over the last step, Nm
+        link_torque=drives,  # on the links, but for the transmitted one, in the last step, Nm
+        # Workspace of a step.
+        acceleration=drives,  # of the twist
+        twist_mid=drives,
+        rate_mid=drives,
+        motor_angle=drives,  # of the joints as the motors have them, rad
+        motor_velocity=drives,
+        drive=drives,  # torque of the motors less friction, Nm
+        offset=drives,  # torque = offset + slope acceleration
+        slope=drives,
+        matrix=(drives, drives),
     )
 
 

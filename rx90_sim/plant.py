@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.arm_dynamics import body_dtype, manipulator_dtype, manipulator_record
-from rx90_common.base.arrays import Array, Record, vectors
+from rx90_common.base.arrays import Array, Record, record_type
 from rx90_common.base.errors import ConfigError, DivergenceError
 from rx90_common.base.rates import Rates, ticks_per
 from rx90_common.description.coupling import (
     ArmSize,
-    gear_field,
+    gear_type,
     to_joint,
     to_joint_torque,
     to_motor_torque,
@@ -50,30 +50,27 @@ _MAX_CORRECTIONS = 50
 def plant_dtype(arm: ArmSize) -> np.dtype[np.void]:
     """Return the type of the constants of a plant."""
     n, e, _ = arm
-    return np.dtype(
-        [
-            ("arm", manipulator_dtype(n)),
-            ("friction", elements_dtype(e)),
-            ("brake", elements_dtype(e)),  # a closed brake is a stiff bristle element on its motor
-            ("parts", parts_dtype(e)),
-            gear_field("gear", arm),
-            *vectors(
-                n,
-                "peak_torque",
-                "resolution",  # of the encoder, motor side, rad
-            ),
-            ("observer_position", np.float64),  # gains of the velocity observer
-            ("observer_velocity", np.float64),
-            *vectors(n, "lower", "upper", "stop_stiffness", "stop_damping"),
-            ("period", np.float64),
-            ("substeps", np.int64),
-            ("speed_limit", np.float64, (n,)),
-            ("transmission", transmission_dtype(n)),
-            ("cogging", cogging_dtype(n)),
-            ("winding", winding_dtype(n)),
-            ("sensor", sensor_dtype(n)),
-        ],
-        align=True,
+    return record_type(
+        arm=manipulator_dtype(n),
+        friction=elements_dtype(e),
+        brake=elements_dtype(e),  # a closed brake is a stiff bristle element on its motor
+        parts=parts_dtype(e),
+        gear=gear_type(arm),
+        peak_torque=n,
+        resolution=n,  # of the encoder, motor side, rad
+        observer_position=(),  # gains of the velocity observer
+        observer_velocity=(),
+        lower=n,
+        upper=n,
+        stop_stiffness=n,
+        stop_damping=n,
+        period=(),
+        substeps=np.int64,
+        speed_limit=n,
+        transmission=transmission_dtype(n),
+        cogging=cogging_dtype(n),
+        winding=winding_dtype(n),
+        sensor=sensor_dtype(n),
     )
 
 
@@ -81,35 +78,33 @@ def plant_dtype(arm: ArmSize) -> np.dtype[np.void]:
 def state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     """Return the type of the state of a plant."""
     n, e, _ = arm
-    return np.dtype(
-        [
-            *vectors(n, "q", "v"),
-            *vectors(e, "z", "brake_z"),
-            ("brakes_closed", np.int64),
-            *vectors(
-                n,
-                "acceleration",  # mean over the last step
-                "drive_torque",  # joint side, Nm
-                "motor_torque",
-                "motor_position",  # measured by the encoder
-                "motor_velocity",  # estimated by the observer
-                "observer",  # the observer's position
-            ),
-            ("saturated", np.int64, (n,)),  # ticks in which a motor gave less than its command
-            # Workspace of a step; the factor of the mass matrix is also the next step's predictor.
-            ("body", body_dtype(n)),
-            ("mass_matrix", np.float64, (n, n)),
-            ("factor", np.float64, (n, n)),
-            *vectors(n, "bias", "q_mid", "v_mid", "rhs"),
-            ("transmission", transmission_state_dtype(n)),
-            ("cogging", cogging_state_dtype(n)),
-            ("sensor", sensor_state_dtype(n)),
-            ("temperature", np.float64, (n,)),  # of the windings, degrees Celsius
-            # Of friction elements with parts alone.
-            ("parts", parts_state_dtype(e)),
-            ("after_friction", np.float64, (n,)),  # workspace: drive torque less friction, Nm
-        ],
-        align=True,
+    return record_type(
+        ("saturated", np.int64, (n,)),  # ticks in which a motor gave less than its command
+        brakes_closed=np.int64,
+        transmission=transmission_state_dtype(n),
+        cogging=cogging_state_dtype(n),
+        sensor=sensor_state_dtype(n),
+        body=body_dtype(n),
+        parts=parts_state_dtype(e),  # of friction elements with parts alone
+        q=n,
+        v=n,
+        z=e,
+        brake_z=e,
+        acceleration=n,  # mean over the last step
+        drive_torque=n,  # joint side, Nm
+        motor_torque=n,
+        motor_position=n,  # measured by the encoder
+        motor_velocity=n,  # estimated by the observer
+        observer=n,  # the observer's position
+        temperature=n,  # of the windings, degrees Celsius
+        # Workspace of a step; the factor of the mass matrix is also the next step's predictor.
+        mass_matrix=(n, n),
+        factor=(n, n),
+        bias=n,
+        q_mid=n,
+        v_mid=n,
+        rhs=n,
+        after_friction=n,  # drive torque less friction, of elements with parts alone, Nm
     )
 
 

@@ -17,16 +17,20 @@ Record = NDArray[Any]
 """Of a structured type, as compiled code reads and changes it."""
 
 
-def record_type(*fields: Any, **numbers: int | tuple[int, ...]) -> np.dtype[np.void]:
+def record_type(*fields: Any, **contents: Any) -> np.dtype[np.void]:
     """Return the type of a record as compiled code reads it, aligned.
 
     Args:
         fields: as NumPy has them; they come first.
-        numbers: shapes of the float64 arrays behind them, by name; a single number is a length.
+        contents: what lies behind them, by name: a type, or the shape of float64 numbers; a single number is a length,
+            () the shape of one number.
     """
-    shapes = {name: (n,) if isinstance(n, int) else n for name, n in numbers.items()}
-    arrays = [(name, np.float64, shape) for name, shape in shapes.items()]
-    return np.dtype([*fields, *arrays], align=True)
+    shapes = {name: (n,) if isinstance(n, int) else n for name, n in contents.items()}
+    named = [
+        (name, np.float64, shape) if isinstance(shape, tuple) else (name, shape)
+        for name, shape in shapes.items()
+    ]
+    return np.dtype([*fields, *named], align=True)
 
 
 def array_digest(*arrays: NDArray[Any] | None) -> str:
@@ -37,8 +41,3 @@ def array_digest(*arrays: NDArray[Any] | None) -> str:
             b"none" if array is None else repr(array.shape).encode() + (array + 0).tobytes()
         )
     return digest.hexdigest()[:32]
-
-
-def vectors(size: int, *names: str) -> list[tuple[str, type[np.float64], tuple[int]]]:
-    """Return the fields of a structured type that are vectors of numbers, shape (size,)."""
-    return [(name, np.float64, (size,)) for name in names]

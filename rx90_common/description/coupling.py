@@ -148,7 +148,7 @@ class Coupling:
         return (*joint_names, *(sum_name(joint_names, self.turns[i]) for i in self.sums))
 
     def fill(self, record: Any, name: str, gear: Array) -> None:
-        """Write gears and coupling into the field of a record that was declared by `gear_field(name, size)`."""
+        """Write gears and coupling into the field of a record that has the `gear_type` of an arm."""
         if self.size.wrist:
             record[name] = gear
             return
@@ -187,11 +187,11 @@ def sum_name(names: Sequence[str], row: Array) -> str:
     return "".join(parts)
 
 
-def gear_field(name: str, arm: ArmSize) -> tuple[Any, ...]:
-    """Return the field of a record type for the gears of an arm: the ratios alone, or with them the coupling."""
+def gear_type(arm: ArmSize) -> Any:
+    """Return what `record_type` takes for the gears of an arm: the ratios alone, or with them the coupling."""
     joints, elements, wrist = arm
     if wrist:
-        return name, np.float64, joints
+        return joints
     shapes: dict[str, Any] = {
         "ratio": joints,
         "motor": (joints, joints),  # turns of motors (row) for joints
@@ -203,7 +203,7 @@ def gear_field(name: str, arm: ArmSize) -> tuple[Any, ...]:
         "belongs": (joints, elements),  # columns: which motor belongs to an element
         "passed": (joints, elements),  # columns: share of the joints' torques, through an element
     }
-    return name, record_type(("element_of_motor", np.int64, (joints,)), **shapes)
+    return record_type(("element_of_motor", np.int64, (joints,)), **shapes)
 
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -250,7 +250,7 @@ ratios: Callable[[Any], Array] = by_gear(lambda gear: gear, lambda gear: gear.ra
 def to_motor(gear: Any, joint: Array, motor: Array) -> None:
     """Write motor positions (or velocities) for joint positions (or velocities), all shape (n,).
 
-    Here and below `gear` is declared by `gear_field`; outside of records it is an array, for the RX family's wrist.
+    Here and below `gear` is declared by `gear_type`; outside of records it is an array, for the RX family's wrist.
     """
     _to_motor(gear, joint, motor)
 

@@ -207,7 +207,7 @@ def bristles_energy(c0: Lanes, kinds: Any, state: Any, z: Lanes, width: int) -> 
     return energy
 
 
-BRISTLE_STATE_DTYPE = record_type(("bristles", bristles_state_dtype(1)), z=1)
+BRISTLE_STATE_DTYPE = record_type(bristles=bristles_state_dtype(1), z=1)
 """Deflection, rad, of one element, and the further state of its bristles."""
 
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.base.arrays import Array, Record, vectors
+from rx90_common.base.arrays import Array, Record, record_type
 from rx90_common.base.rates import Rates
 from rx90_common.description.coupling import (
     ArmSize,
@@ -48,27 +48,20 @@ _LARGEST = float(np.finfo(np.float64).max)
 def law_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     """Return the type of the state of a control law."""
     n = arm.joints
-    return np.dtype(
-        [
-            # motor-side position, velocity, acceleration set-points
-            ("reference", np.float64, (3, n)),
-            *vectors(
-                n,
-                "offset",  # of the position set-point, motor side, rad; workspace
-                "error",  # position error at the last position tick
-                "velocity_error",
-                "integrator",
-                "position_torque",  # PI block, held between position ticks
-                "feed_forward",  # FF block, held between position ticks
-                "commanded",  # current commanded to the amplifier, within its limit, A
-                "current",
-                "command",  # torque constant times current
-                "limited",  # sign of the amplifier's saturation in the last tick, 0 if none
-                "saturated",  # ticks in saturation
-            ),
-            ("model", model_state_dtype(arm)),
-        ],
-        align=True,
+    return record_type(
+        model=model_state_dtype(arm),
+        reference=(3, n),  # motor-side position, velocity, acceleration set-points
+        offset=n,  # of the position set-point, motor side, rad; workspace
+        error=n,  # position error at the last position tick
+        velocity_error=n,
+        integrator=n,
+        position_torque=n,  # PI block, held between position ticks
+        feed_forward=n,  # FF block, held between position ticks
+        commanded=n,  # current commanded to the amplifier, within its limit, A
+        current=n,
+        command=n,  # torque constant times current
+        limited=n,  # sign of the amplifier's saturation in the last tick, 0 if none
+        saturated=n,  # ticks in saturation
     )
 
 

@@ -32,7 +32,7 @@ from rx90_common.arm_dynamics import (
     manipulator_dtype,
     manipulator_record,
 )
-from rx90_common.base.arrays import Array, Record, vectors
+from rx90_common.base.arrays import Array, Record, record_type
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import FileModel
 from rx90_common.base.quoting import plain, quoted
@@ -77,16 +77,13 @@ FRESH: Final = -1
 @cache
 def model_dtype(arm: ArmSize) -> np.dtype[np.void]:
     """Return the type of the constants; all zero where no part is on."""
-    friction = [("elements", elements_dtype(arm.elements)), ("parts", parts_dtype(arm.elements))]
-    return np.dtype(
-        [
-            ("parts", np.int64),
-            ("arm", manipulator_dtype(arm.joints)),
-            ("friction", np.dtype(friction, align=True)),
-            ("lead", np.float64),  # s
-            ("period", np.float64),  # of the position loop, s
-        ],
-        align=True,
+    friction = record_type(elements=elements_dtype(arm.elements), parts=parts_dtype(arm.elements))
+    return record_type(
+        parts=np.int64,
+        arm=manipulator_dtype(arm.joints),
+        friction=friction,
+        lead=(),  # s
+        period=(),  # of the position loop, s
     )
 
 
@@ -94,25 +91,26 @@ def model_dtype(arm: ArmSize) -> np.dtype[np.void]:
 def model_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     """Return the type of the state."""
     n, e, _ = arm
-    friction = [
-        ("z", np.float64, (e,)),  # deflections of the bristles, rad
-        ("parts", parts_state_dtype(e)),
+    friction = record_type(
+        parts=parts_state_dtype(e),
         # whether the temperatures have been computed, or are those of the start
-        ("warm", np.int64),
+        warm=np.int64,
+        z=e,  # deflections of the bristles, rad
         # Workspace.
-        *vectors(n, "joint", "motor"),
-    ]
-    return np.dtype(
-        [
-            ("parts", np.int64),  # of the last position tick
-            ("friction", np.dtype(friction, align=True)),
-            # motor side, Nm: the feed-forward before the parts changed
-            ("before", np.float64, (n)),
-            # Workspace.
-            ("body", body_dtype(n)),
-            *vectors(n, "q", "v", "a", "joint", "motor"),
-        ],
-        align=True,
+        joint=n,
+        motor=n,
+    )
+    return record_type(
+        parts=np.int64,  # of the last position tick
+        friction=friction,
+        body=body_dtype(n),  # workspace
+        before=n,  # motor side, Nm: the feed-forward before the parts changed
+        # Workspace.
+        q=n,
+        v=n,
+        a=n,
+        joint=n,
+        motor=n,
     )
 
 

@@ -10,12 +10,12 @@ from typing import Annotated, Any, Final, TypeAlias
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from rx90_common.base.arrays import Array, vectors
+from rx90_common.base.arrays import Array, record_type
 from rx90_common.base.errors import ConfigError, located
 from rx90_common.base.models import FileModel, Positive, RowOf, check_counts, quantity, read_model
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import Rates
-from rx90_common.description.coupling import ArmSize, gear_field
+from rx90_common.description.coupling import ArmSize, gear_type
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction.element import ALPHA_BOUNDS
@@ -29,34 +29,25 @@ from rx90_controller.trajectory import JointLimits
 def controller_dtype(arm: ArmSize) -> np.dtype[np.void]:
     """Return the type of the constants of a control law."""
     n = arm.joints
-    return np.dtype(
-        [
-            gear_field("gear", arm),
-            *vectors(
-                n,
-                "proportional",  # motor side, Nm/rad
-                "integral",  # motor side, Nm/rad per position tick
-                "integrator_limit",  # motor side, Nm
-                "derivative",  # motor side, Nm s/rad
-                "inertia",  # motor side, kg m^2; 0 where acceleration feed-forward is off
-                "velocity_weight",  # of the velocity set-point in D; 0 where it is off
-                "coulomb",  # motor side, Nm; 0 where the compensation is off
-                "coulomb_velocity",  # motor side, rad/s
-                "viscous",  # motor side, Nm (s/rad)^exponent; 0 where the compensation is off
-                "torque_constant",
-                "peak_current",
-                "current_step",  # largest change of the amplifier's current in a tick, A
-            ),
-            ("current_gain", np.float64),  # of the current loop per tick
-            *vectors(
-                n,
-                "following_error",  # supervised, motor side, rad
-                "over_speed",  # supervised, motor side, rad/s
-                "viscous_exponent",
-            ),
-            ("model", model_dtype(arm)),  # feed-forward by a model of arm and friction
-        ],
-        align=True,
+    return record_type(
+        gear=gear_type(arm),
+        model=model_dtype(arm),  # feed-forward by a model of arm and friction
+        proportional=n,  # motor side, Nm/rad
+        integral=n,  # motor side, Nm/rad per position tick
+        integrator_limit=n,  # motor side, Nm
+        derivative=n,  # motor side, Nm s/rad
+        inertia=n,  # motor side, kg m^2; 0 where acceleration feed-forward is off
+        velocity_weight=n,  # of the velocity set-point in D; 0 where it is off
+        coulomb=n,  # motor side, Nm; 0 where the compensation is off
+        coulomb_velocity=n,  # motor side, rad/s
+        viscous=n,  # motor side, Nm (s/rad)^exponent; 0 where the compensation is off
+        viscous_exponent=n,
+        torque_constant=n,
+        peak_current=n,
+        current_step=n,  # largest change of the amplifier's current in a tick, A
+        current_gain=(),  # of the current loop per tick
+        following_error=n,  # supervised, motor side, rad
+        over_speed=n,  # supervised, motor side, rad/s
     )
 
 

@@ -127,10 +127,10 @@ Bristles: TypeAlias = Annotated[ElastoPlastic | MaxwellSlip, Field(discriminator
 def bristles_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants of `width` elements' bristles."""
     return record_type(
-        ("elastic_used", np.int64),  # 1 if any element is elasto-plastic
-        ("blocks_used", np.int64),  # 1 if any element has blocks
         ("blocked", np.int64, (width,)),  # 1 where it has blocks
-        ("blocks", blocks_dtype(width)),
+        elastic_used=np.int64,  # 1 if any element is elasto-plastic
+        blocks_used=np.int64,  # 1 if any element has blocks
+        blocks=blocks_dtype(width),
         elastic=width,  # 1 where it is elasto-plastic
         break_away=width,
     )

@@ -176,8 +176,8 @@ def curve_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants: the pieces of each sign; none where the part is off."""
     rows = (2, MAX_POINTS + 1, width)
     return record_type(
-        ("used", np.int64),  # 1 if any element has a curve
         ("pieces", np.int64, (2, width)),
+        used=np.int64,  # 1 if any element has a curve
         start=rows,
         coefficients=(4, *rows),
     )

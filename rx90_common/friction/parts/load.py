@@ -124,7 +124,7 @@ def load_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants: a row for each of DIRECTIONS; the rate is 0 where the part is off."""
     rows = (len(DIRECTIONS), width)
     return record_type(
-        ("fades", np.int64),  # 1 if any load's share has a Stribeck velocity of its own
+        fades=np.int64,  # 1 if any load's share has a Stribeck velocity of its own
         coulomb=rows,
         stribeck=rows,
         quadratic=rows,

@@ -99,7 +99,7 @@ def ripple_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants: how many terms there are, and a row for each."""
     rows = (2 * MAX_TERMS, width)
     return record_type(
-        ("terms", np.int64),
+        terms=np.int64,
         harmonic=rows,  # waves in 2 pi of the element's angle
         cosine=rows,
         sine=rows,

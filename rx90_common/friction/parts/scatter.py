@@ -73,7 +73,7 @@ class ScatterPart(FrictionPart):
 
 def scatter_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants; the deviation is 0 where the part is off."""
-    return record_type(("seed", np.uint64), deviation=width, decay=width, kick=width)
+    return record_type(seed=np.uint64, deviation=width, decay=width, kick=width)
 
 
 def scatter_state_dtype(width: int) -> np.dtype[np.void]:

@@ -28,7 +28,7 @@ from rx90_common.kernels.lanes import Lanes, fma, load
 def parts_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants of the parts of `width` elements, the element the last index."""
     constants = [(name, part.constants(width)) for name, part in PARTS.items()]
-    return record_type(("used", np.int64), *constants)  # used: 1 if any element has any part
+    return record_type(*constants, used=np.int64)  # used: 1 if any element has any part
 
 
 def parts_state_dtype(width: int) -> np.dtype[np.void]:

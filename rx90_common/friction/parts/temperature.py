@@ -154,7 +154,7 @@ _PLAIN = ("reference", "highest", "start", "ambient", "resistance", "speed_slope
 def temperature_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants; a slope, or the share that fades, is 0 where the part is off."""
     names = (*_PLAIN, "inverse_scale", "fading", "gain", "motor")
-    return record_type(("used", np.int64), **dict.fromkeys(names, width))
+    return record_type(used=np.int64, **dict.fromkeys(names, width))
 
 
 def temperature_state_dtype(width: int) -> np.dtype[np.void]:
