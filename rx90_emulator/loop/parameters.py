@@ -160,12 +160,11 @@ class Catalogue:
 
     def all(self) -> list[Place]:
         """Return a place for each value."""
-        single = {path: keys[0] for path, keys in self._leaves.items() if len(keys) == 1}
-        every = {path: ("*",) * np.ndim(self._values[key]) for path, key in single.items()}
         return [
             place
-            for path, indices in every.items()
-            for place in self._indexed(".".join(path), path, indices)
+            for path, keys in self._leaves.items()
+            if len(keys) == 1
+            for place in self._indexed(".".join(path), path, "*" * np.ndim(self._values[keys[0]]))
         ]
 
     def places(self, path: str) -> tuple[Place, ...]:
@@ -190,7 +189,7 @@ class Catalogue:
 
     def _indexed(self, path: str, key: Key, indices: Sequence[str]) -> list[Place]:
         keys = self._leaves[key]
-        shape = np.shape(self._values[self._leaves[key][0]])
+        shape = np.shape(self._values[keys[0]])
         if len(indices) != len(shape) or any(
             i != "*" and int(i) >= n for i, n in zip(indices, shape, strict=True)
         ):
