@@ -338,12 +338,12 @@ def _robot(robot: RobotModel, links: Mapping[str, Any]) -> RobotModel:
     bodies = {name: getattr(robot.chain, name).copy() for name in ARM_UNITS}
     turns = _rotations_at_zero(robot.model)
     model = robot.model.copy()
-    for link, fields in links.items():
-        row = int(link.removeprefix("link_")) - 1
+    rows = {int(link.removeprefix("link_")) - 1: fields for link, fields in links.items()}
+    for row, fields in rows.items():
         for field, entries in fields.items():
             for index, value in entries.items():
                 bodies[field][(row, *index)] = value
-    for row in sorted(int(link.removeprefix("link_")) - 1 for link in links):
+    for row in sorted(rows):
         mass, com, inertia = (bodies[name][row] for name in ARM_UNITS)
         where = f"arm.link_{row + 1}"
         if not (np.isfinite(mass) and mass > 0):
