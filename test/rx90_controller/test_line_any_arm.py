@@ -220,7 +220,6 @@ def aside(shipped: Setup, tmp_path: Path) -> Callable[[], Path]:
     """Return a function that writes the RX90B's description with its last axis moved aside: no closed form."""
 
     def write() -> Path:
-        assert shipped.files is not None
         text = shipped.files.urdf.read_text(encoding="utf-8")
         old = '<origin xyz="0 0 0.085"/>\n    <parent link="link_5"/>'
         assert text.count(old) == 1
