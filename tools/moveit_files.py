@@ -106,7 +106,7 @@ def semantic_text(setup: Setup, poses: Poses | None, touching: set[frozenset[str
     root = ET.Element("robot", name=robot.model.name)
     root.append(ET.Comment(f" {_HEAD} "))
     group = ET.SubElement(root, "group", name=GROUP)
-    with_tool = setup.files is not None and setup.files.tool is not None
+    with_tool = setup.files.tool is not None
     ET.SubElement(
         group, "chain", base_link=_base(robot), tip_link=TIP if with_tool else robot.tcp_frame
     )
@@ -196,7 +196,6 @@ def moveit_texts(
     setup: Setup, poses: Poses | None, touching: set[frozenset[str]]
 ) -> dict[str, str]:
     """Return the text of each file by its name; `touching` are the pairs of links that are to be checked."""
-    assert setup.files is not None
     controller = yaml.safe_load(setup.files.controller.read_text(encoding="utf-8"))
     return {
         "robot.srdf": semantic_text(setup, poses, touching),

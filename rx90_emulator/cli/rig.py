@@ -72,9 +72,7 @@ def _add_measuring(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--clear", action="store_true", help="clear the faults that the rig has latched, then begin"
     )
-    add_output(parser, new_folder, "new folder for bag and report (%(default)s)", default="out/friction",
-               metavar="FOLDER")  # fmt: skip
-    _add_result(parser)
+    _add_result(parser, "bag and report")
 
 
 def _add_line(parser: argparse.ArgumentParser) -> None:
@@ -82,7 +80,9 @@ def _add_line(parser: argparse.ArgumentParser) -> None:
                         "seed of its noise 'emulated:SEED'")  # fmt: skip
 
 
-def _add_result(parser: argparse.ArgumentParser) -> None:
+def _add_result(parser: argparse.ArgumentParser, what: str) -> None:
+    about = f"new folder for {what} (%(default)s)"
+    add_output(parser, new_folder, about, default="out/friction", metavar="FOLDER")
     parser.add_argument(
         "--element",
         default="joint_6",
@@ -113,24 +113,15 @@ def _source(options: argparse.Namespace) -> int:
 
 def _add_read(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(**_NO_MEASURING, files=True, source=False)
-    parser.add_argument(
-        "--no-load-file", action="append", default=[], metavar="M:FILE", help="slope and file"
-    )
-    parser.add_argument(
-        "--loaded-file", action="append", default=[], metavar="M:FILE", help="slope and file"
-    )
+    for option in ("--no-load-file", "--loaded-file"):
+        parser.add_argument(
+            option, action="append", default=[], metavar="M:FILE", help="slope and file"
+        )
     parser.add_argument("--text", choices=("increments", "counts", "velocity", "instantaneous-velocity"),
                         help="files are plain text of this kind, not CSV; velocity is the mean since the last reading, "
                         "as pulses give it")  # fmt: skip
     add_rig_argument(parser)
-    add_output(
-        parser,
-        new_folder,
-        "new folder for the report (%(default)s)",
-        default="out/friction",
-        metavar="FOLDER",
-    )
-    _add_result(parser)
+    _add_result(parser, "the report")
 
 
 def _read(options: argparse.Namespace) -> int:

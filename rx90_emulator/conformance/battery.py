@@ -14,7 +14,6 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import read_yaml, yaml_text
 from rx90_common.base.errors import DivergenceError
-from rx90_common.description.robot_files import RobotFiles
 from rx90_common.process.files import write_text
 from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory.motion import Motion
@@ -47,12 +46,6 @@ class Nominal(NamedTuple):
     folder: Path
 
     @property
-    def files(self) -> RobotFiles:
-        """Return the files of the nominal arm."""
-        assert self.setup.files is not None
-        return self.setup.files
-
-    @property
     def acceleration(self) -> float:
         """Return the least of the joints' largest accelerations, rad/s²."""
         return float(self.setup.controller.max_acceleration.min())
@@ -68,12 +61,12 @@ class Nominal(NamedTuple):
 
         Without such a file, as where it carries no tool, it is the nominal arm.
         """
-        nominal: Path | None = getattr(self.files, role)
+        nominal: Path | None = getattr(self.setup.files, role)
         if nominal is None:
             return self.setup
         file = self.folder / f"{case}_{role}.yaml"
         write_text(file, yaml_text(_scaled(read_yaml(nominal), keys, factor)))
-        return Setup.load(replace(self.files, **{role: file}))
+        return Setup.load(replace(self.setup.files, **{role: file}))
 
 
 def _scaled(
@@ -100,7 +93,9 @@ def step(nominal: Nominal, name: str) -> Case:
 def line(nominal: Nominal, name: str = "line", about: str = "of the nominal arm") -> Case:
     """Follow the robot's reference line, with short rests."""
     task = replace(
-        load_task(nominal.files.required("task")), rest_before=_LINE_REST, rest_after=_LINE_REST
+        load_task(nominal.setup.files.required("task")),
+        rest_before=_LINE_REST,
+        rest_after=_LINE_REST,
     )
     points = plan_line(nominal.setup, task).points
     about = f"the robot's reference line, in which joints reverse: {about}"

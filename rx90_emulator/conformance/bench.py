@@ -200,10 +200,8 @@ def run_on_topics(case: Case, candidate: Candidate, folder: Path) -> Record:
 
 
 def _parameters(case: Case, candidate: Candidate) -> dict[str, Any]:
-    files = case.setup.files
-    assert files is not None
     parameters = {
-        **{role: files.text(role) for role in FILE_PARAMETERS},
+        **{role: case.setup.files.text(role) for role in FILE_PARAMETERS},
         "initial_position": case.points.position[0].tolist(),
         "duration": case.ticks * case.setup.rates.period,
         "real_time_factor": 0.0,

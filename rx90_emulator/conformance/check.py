@@ -108,7 +108,6 @@ class CheckResult:
     @property
     def page(self) -> str:
         """Return the report."""
-        assert self.nominal.files is not None
         provenance = provenance_of(self.nominal.files)
         plots = [errors(case.record, case.cs7b) for case in self.cases]
         return render_page(

@@ -99,9 +99,7 @@ class RunReport:
             "rx90_emulator.demo",
             "report.html.j2",
             robot=setup.robot.model.name,
-            provenance={}
-            if files is None
-            else {getattr(files, k).name: v for k, v in provenance_of(files).items()},
+            provenance={getattr(files, k).name: v for k, v in provenance_of(files).items()},
             run=self,
             real_time_factor=reached,
             pace=pace,

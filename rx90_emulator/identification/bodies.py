@@ -39,7 +39,6 @@ from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed
 from rx90_common.description.robot import joint_of
-from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.fitted import FittedArm
 from rx90_emulator.identification.options import RobotOptions
@@ -593,7 +592,7 @@ def make_consistent(
     if robot.setup is not None:
         description = robot.setup.robot.urdf
         rotors = robot.setup.drives.rotor_inertia
-        known = () if (robot.setup.files or RobotFiles()).tool is None else (_TOOL,)
+        known = () if robot.setup.files.tool is None else (_TOOL,)
     prior = InertialPrior.of_urdf(
         description, arm.names, rotors, arm.spring[problem.columns.springs], known
     )

@@ -160,12 +160,11 @@ class Catalogue:
 
     def all(self) -> list[Place]:
         """Return a place for each value."""
-        single = {path: keys[0] for path, keys in self._leaves.items() if len(keys) == 1}
-        every = {path: ("*",) * np.ndim(self._values[key]) for path, key in single.items()}
         return [
             place
-            for path, indices in every.items()
-            for place in self._indexed(".".join(path), path, indices)
+            for path, keys in self._leaves.items()
+            if len(keys) == 1
+            for place in self._indexed(".".join(path), path, "*" * np.ndim(self._values[keys[0]]))
         ]
 
     def places(self, path: str) -> tuple[Place, ...]:
@@ -190,7 +189,7 @@ class Catalogue:
 
     def _indexed(self, path: str, key: Key, indices: Sequence[str]) -> list[Place]:
         keys = self._leaves[key]
-        shape = np.shape(self._values[self._leaves[key][0]])
+        shape = np.shape(self._values[keys[0]])
         if len(indices) != len(shape) or any(
             i != "*" and int(i) >= n for i, n in zip(indices, shape, strict=True)
         ):
@@ -339,12 +338,12 @@ def _robot(robot: RobotModel, links: Mapping[str, Any]) -> RobotModel:
     bodies = {name: getattr(robot.chain, name).copy() for name in ARM_UNITS}
     turns = _rotations_at_zero(robot.model)
     model = robot.model.copy()
-    for link, fields in links.items():
-        row = int(link.removeprefix("link_")) - 1
+    rows = {int(link.removeprefix("link_")) - 1: fields for link, fields in links.items()}
+    for row, fields in rows.items():
         for field, entries in fields.items():
             for index, value in entries.items():
                 bodies[field][(row, *index)] = value
-    for row in sorted(int(link.removeprefix("link_")) - 1 for link in links):
+    for row in sorted(rows):
         mass, com, inertia = (bodies[name][row] for name in ARM_UNITS)
         where = f"arm.link_{row + 1}"
         if not (np.isfinite(mass) and mass > 0):

@@ -52,7 +52,7 @@ class Setup(Arm):
     Attributes:
         controller: gains, limits and switches.
         rates: of the loops.
-        files: where they were read from, and the robot's own task and poses; None if they were not read.
+        files: where they were read from, and the robot's own task and poses.
         seed: of all that is random in the arm, such as the scatter of its friction; the same seed gives the same bits.
 
     Raises:
@@ -61,7 +61,7 @@ class Setup(Arm):
 
     controller: CS7BParameters
     rates: Rates
-    files: RobotFiles | None = None
+    files: RobotFiles
     seed: int = 0
 
     def __post_init__(self) -> None:

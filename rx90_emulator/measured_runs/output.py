@@ -130,7 +130,7 @@ def write_measured(
     """
     page = Path(page)
     check_targets(page, force=force)
-    files = () if setup.files is None else tuple(setup.files.text(role) for role in MODEL_FILES)
+    files = tuple(setup.files.text(role) for role in MODEL_FILES)
     write_text(page, measured_page(result, files))
     return page
 

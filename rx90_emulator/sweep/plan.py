@@ -38,8 +38,8 @@ MOST_VALUES = 1_000_000
 MOST_RUNS = 10_000_000
 LARGEST_SEED = 2**63 - 1
 _ROLES = (*MODEL_FILES, "task")
-# of a normal distribution: within narrower bounds it is no longer computed exactly
 _LEAST_SHARE = 1e-3
+"""Of a normal distribution between the bounds: where less is left, it is no longer computed exactly."""
 
 _SPACES = "[v1, v2, ...], {linspace: [start, stop, count]} or {geomspace: [start, stop, count]}"
 _DRAWN = (

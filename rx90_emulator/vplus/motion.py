@@ -58,9 +58,7 @@ class ProgrammedArm:
             )
         self._solver = solver
         self.full = full
-        self.robot: RobotModel = (
-            load_robot(setup.files.urdf) if setup.files is not None else setup.robot
-        )
+        self.robot = load_robot(setup.files.urdf)
         self._world = np.array([0.0, 0.0, self.robot.chain.origin[:2, 2].sum()])  # m, in the base
         self.max_acceleration = setup.controller.max_acceleration
         self.ready = self.angles(Joints(full.ready))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -212,3 +213,18 @@ def test_what_no_line_is_for_is_refused(tmp_path: Path, joints: int, change: dic
     robot = robot_of_urdf(write_urdf(tmp_path, joints), JOINTS[:joints])
     with pytest.raises(LineError, match=re.escape(said)):
         plan_line(robot, replace(_line(robot), **change))  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def aside(shipped: Setup, tmp_path: Path) -> Callable[[], Path]:
+    """Return a function that writes the RX90B's description with its last axis moved aside: no closed form."""
+
+    def write() -> Path:
+        text = shipped.files.urdf.read_text(encoding="utf-8")
+        old = '<origin xyz="0 0 0.085"/>\n    <parent link="link_5"/>'
+        assert text.count(old) == 1
+        file = tmp_path / "aside.urdf"
+        file.write_text(text.replace(old, old.replace("0 0 0.085", "0.03 0.01 0.085")), encoding="utf-8")
+        return file
+
+    return write

@@ -37,7 +37,6 @@ def setup(request: pytest.FixtureRequest) -> Setup:
 
 def joint_limits(setup: Setup) -> tuple[Array, Array]:
     """Return the velocities and accelerations of joint_limits.yaml."""
-    assert setup.files is not None
     text = (setup.files.urdf.parent / "moveit" / "joint_limits.yaml").read_text(encoding="utf-8")
     limits = list(yaml.safe_load(text)["joint_limits"].values())
     velocity, acceleration = (np.array([joint[f"max_{what}"] for joint in limits]) for what in QUANTITIES)
@@ -158,7 +157,6 @@ def sent_by_pilz(line: TrajectoryPoints, velocity: Array, acceleration: Array) -
 def lines(request: pytest.FixtureRequest) -> tuple[Setup, list[LinePlan]]:
     """Return lines at random at MoveIt's Cartesian limits, or slower."""
     setup: Setup = request.getfixturevalue(request.param)
-    assert setup.files is not None
     text = Path(config_path("moveit/pilz_cartesian_limits.yaml")).read_text(encoding="utf-8")
     limits = yaml.safe_load(text)["cartesian_limits"]
     task, generator, plans = load_task(setup.files.required("task")), np.random.default_rng(7), []

@@ -72,7 +72,6 @@ def run_both_ways(
     correction.
     """
     files = setup.files
-    assert files is not None
     file = folder / "task.yaml"
     file.write_text(TASK.replace("0.6,", f"{REACH[files.urdf.parent.name]},"), encoding="utf-8")
     task = load_task(file)

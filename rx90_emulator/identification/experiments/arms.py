@@ -56,7 +56,7 @@ class PlannedArm:
     @classmethod
     def from_setup(cls, setup: Setup, home: Sequence[float] | None = None) -> PlannedArm:
         """Return the arm of a setup; home is the given one, else that of the robot's poses, else mid-range."""
-        if home is None and setup.files is not None and setup.files.poses is not None:
+        if home is None and setup.files.poses is not None:
             home = poses_of(setup).home.position
         pose, remarks = _home(setup.robot, home)
         controller = setup.controller

@@ -70,8 +70,6 @@ class Experiment:
 
 def poses_of(setup: Setup) -> Poses:
     """Return the poses of a robot, checked to be within its limits."""
-    if setup.files is None:
-        raise IdentificationError("the setup was not read from files; accepted: one of load_setup")
     poses = Poses.load(setup.files.required("poses"))
     poses.check(setup.robot)
     return poses

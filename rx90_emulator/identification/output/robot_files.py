@@ -176,9 +176,8 @@ def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[
     """Return the text of each of the robot's files by its name, and a line that describes them."""
     setup = result.robot.setup
     if setup is not None:
-        files = setup.files or RobotFiles()
         note = "a robot folder; what the runs do not determine is as it was"
-        return robot_texts(result, files.urdf, FolderBase.of(files), date), note
+        return robot_texts(result, setup.files.urdf, FolderBase.of(setup.files), date), note
     urdf = Path(str(result.robot.options.urdf))
     base, note = folder_base(result.arm, urdf)
     return robot_texts(result, urdf, base, date), note

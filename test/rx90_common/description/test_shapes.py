@@ -34,7 +34,6 @@ def setup(request: pytest.FixtureRequest) -> Setup:
 @pytest.fixture(scope="module")
 def folder(setup: Setup) -> Path:
     """Return the robot's folder of files for MoveIt."""
-    assert setup.files is not None
     return setup.files.urdf.parent / "moveit"
 
 
@@ -187,7 +186,6 @@ def test_adjacent_links_are_joined(setup: Setup, semantic: ET.Element) -> None:
 
 def test_named_poses_are_those_of_the_poses_file_and_free_of_collisions(setup: Setup, folder: Path) -> None:
     """Read by Pinocchio, each named pose is that of poses.yaml, within the limits, and no checked pair touches."""
-    assert setup.files is not None
     text = (folder / "robot.srdf").read_text(encoding="utf-8")
     model = setup.robot.model.copy()
     pin.loadReferenceConfigurationsFromXML(model, text, False)
@@ -206,7 +204,6 @@ def test_named_poses_are_those_of_the_poses_file_and_free_of_collisions(setup: S
 
 def test_the_files_are_those_that_the_tool_writes(setup: Setup, folder: Path, semantic: ET.Element) -> None:
     """But for the search for pairs that touch, `python -m tools.moveit_files` would write the files as they are."""
-    assert setup.files is not None
     all_pairs = {frozenset(pair) for pair in itertools.combinations(set(Shapes(setup).owners), 2)}
     touching = all_pairs - disabled(semantic, "Never")
     poses = Poses.load(setup.files.required("poses"))

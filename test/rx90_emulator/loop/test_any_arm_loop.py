@@ -59,7 +59,6 @@ def everything(setup: Setup, side: str) -> Setup:
     elements = tuple(element.replaced(**PARTS) for element in setup.friction.elements)
     switches = {"inverse_dynamics": True, "friction_model": True}
     files = setup.files
-    assert files is not None
     model = ModelFiles(urdf=files.urdf, tool=files.tool, drives=files.drives, friction=files.friction)
     controller = setup.controller.replaced(feed_forward=switches, model=model)
     friction = FrictionSet(setup.friction.names, elements)
