@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import one_line, plain, quoted
@@ -31,6 +32,10 @@ if TYPE_CHECKING:
     from rx90_emulator.vplus.cell import Change
     from rx90_emulator.vplus.run import Options, ProgramRun
     from rx90_emulator.vplus.tree import Memory, Readings
+
+    _Runner: TypeAlias = Callable[
+        [argparse.Namespace, Setup, Memory, list[Change], Options], ProgramRun
+    ]
 
 _EPILOG = """\
 FILE is a file of V+ (.v2, .pg, with data sections or .lc beside it), or a folder of them. The arm begins at READY.
@@ -61,7 +66,7 @@ def _add_engine(parser: argparse.ArgumentParser) -> None:
 
 def _add_nodes(parser: argparse.ArgumentParser) -> None:
     _add_program(parser)
-    parser.set_defaults(ros_args=[])
+    parser.set_defaults(ros_args=[], output=None, slow_only=False, report=None, plot=None)
     add_node_arguments(parser, _TIMEOUT)
 
 
@@ -123,39 +128,35 @@ def _engine(options: argparse.Namespace) -> None:
     """Run a program in the closed loop without ROS, show what it did, write what was asked for."""
     if options.plot is not None:
         check_picture(options.plot)
-    # Here, because --help must not wait for them.
-    from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.loop.setup import Setup
-    from rx90_emulator.vplus.cell import load_inputs
-    from rx90_emulator.vplus.run import run_program
-
-    inputs = load_inputs(options.inputs) if options.inputs is not None else []
-    memory = _load(options)
-    setup = Setup.load(RobotFiles.of_options(options))
-    chosen = _chosen(options, record_fast=options.output is not None and not options.slow_only)
-    began = time.perf_counter()
-    arguments = tuple(options.arguments)
-    run = run_program(
-        setup, memory, options.name, arguments=arguments, inputs=inputs, options=chosen, show=_show
-    )
-    _tell(run, time.perf_counter() - began)
-    _write(run, options)
-    if run.error is not None:
-        raise run.error
+    _run(options, _in_engine)
 
 
 def _nodes(options: argparse.Namespace) -> None:
     """Run a program on rx90_sim and rx90_controller, from where the arm is; rx90 bag record records it."""
+    _run(options, _on_nodes)
+
+
+def _run(options: argparse.Namespace, runner: _Runner) -> None:
+    # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.loop.setup import Setup
     from rx90_emulator.vplus.cell import load_inputs
+    from rx90_emulator.vplus.run import Options
 
     inputs = load_inputs(options.inputs) if options.inputs is not None else []
     memory = _load(options)
     setup = Setup.load(RobotFiles.of_options(options))
+    chosen = Options(
+        monitor_speed=options.monitor_speed,
+        period=options.planning * 1e-3,
+        idle=options.idle,
+        longest=options.longest,
+        record_fast=options.output is not None and not options.slow_only,
+    )
     began = time.perf_counter()
-    run = _on_nodes(options, setup, memory, inputs, _chosen(options, record_fast=False))
+    run = runner(options, setup, memory, inputs, chosen)
     _tell(run, time.perf_counter() - began)
+    _write(run, options)
     if run.error is not None:
         raise run.error
 
@@ -177,18 +178,6 @@ def _load(options: argparse.Namespace) -> Memory:
         for fault in error.faults[1:_MOST_FAULTS]:
             print(one_line(fault))
         raise
-
-
-def _chosen(options: argparse.Namespace, *, record_fast: bool) -> Options:
-    from rx90_emulator.vplus.run import Options
-
-    return Options(
-        monitor_speed=options.monitor_speed,
-        period=options.planning * 1e-3,
-        idle=options.idle,
-        longest=options.longest,
-        record_fast=record_fast,
-    )
 
 
 def _tell(run: ProgramRun, taken: float) -> None:
@@ -217,6 +206,17 @@ def _write(run: ProgramRun, options: argparse.Namespace) -> None:
     if options.plot is not None:
         draw(run, options.plot)
         print(one_line(f"picture: {options.plot}"))
+
+
+def _in_engine(
+    options: argparse.Namespace, setup: Setup, memory: Memory, inputs: list[Change], chosen: Options
+) -> ProgramRun:
+    from rx90_emulator.vplus.run import run_program
+
+    arguments = options.arguments
+    return run_program(
+        setup, memory, options.name, arguments=arguments, inputs=inputs, options=chosen, show=_show
+    )
 
 
 def _on_nodes(
