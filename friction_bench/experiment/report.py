@@ -35,9 +35,9 @@ METHODS = "source, m b / a", "exact, by covariance"
 
 def _interval(estimate: IntervalEstimate) -> dict[str, Any]:
     return {
-        "value": float(f"{estimate.value:.6g}"),
+        "value": _rounded(estimate.value),
         "standard_uncertainty": float(f"{estimate.error:.3g}"),
-        "interval_95": [float(f"{estimate.low:.6g}"), float(f"{estimate.high:.6g}")],
+        "interval_95": [_rounded(estimate.low), _rounded(estimate.high)],
     }
 
 
@@ -170,12 +170,7 @@ def write_friction(path: Path, found: RampTestResult, element: str, base: Fricti
     parameters = {
         "tau_c": {"provenance": "identified", **_interval(coulomb)},
         "c2": of_c2,
-        "tau_s": {
-            "provenance": "assumed",
-            "value": _rounded(static),
-            "identifiable": False,
-            "reason": STATIC,
-        },
+        "tau_s": {**assumption, "value": _rounded(static), "reason": STATIC},
         **{name: assumption.copy() for name in ("omega_s", "delta", "c0", "c1", "omega_d")},
     }
     elements = {**base.elements.entries, element: measured}

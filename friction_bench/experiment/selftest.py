@@ -9,9 +9,8 @@ from __future__ import annotations
 import argparse
 from typing import NamedTuple
 
-from friction_bench.experiment.session import armed, seed_of
-from friction_bench.rig.client import Port, RigClient, Sample
-from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.experiment.session import armed, opened
+from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.messages import (
     Command,
     Fault,
@@ -21,7 +20,6 @@ from friction_bench.rig.messages import (
     State,
 )
 from friction_bench.rig.rig_file import CODES, load_rig
-from friction_bench.rig.serial_port import SerialPort
 from rx90_common.base.errors import DONE, VERDICT_NO
 from rx90_common.base.quoting import one_line
 from rx90_common.base.share import resolve_config
@@ -177,10 +175,7 @@ def run(options: argparse.Namespace) -> int:
         The exit code: 1 if a check fails.
     """
     rig = load_rig(resolve_config(options.rig))
-    seed = seed_of(options.port)
-    port: Port = (
-        SerialPort(options.port, rig.baud) if seed is None else VirtualPort(EmulatedRig(rig, seed))
-    )
+    port, _ = opened(options.port, rig)
     try:
         checks = self_test(RigClient(port, rig))
     finally:

@@ -54,6 +54,15 @@ def seed_of(port: str) -> int | None:
     return None if emulated is None else int(emulated[1] or 0)
 
 
+def opened(port: str, rig: Rig) -> tuple[Port, Callable[[bool], None] | None]:
+    """Return the line to the rig that `--port` names, and what couples the joint of an emulated one."""
+    seed = seed_of(port)
+    if seed is None:
+        return SerialPort(port, rig.baud), None
+    emulated = EmulatedRig(rig, seed)
+    return VirtualPort(emulated), emulated.plant.load
+
+
 def new_measurement(out: Path) -> None:
     """Make the folder, and check that files can be written in it: a measurement must not be lost at its end."""
     try:
@@ -99,7 +108,6 @@ def measuring(options: argparse.Namespace, rig: Rig, seconds: float) -> Iterator
     """
     out: Path = options.output
     new_measurement(out)
-    port: Port
 
     def ask(loaded: bool) -> None:
         """Let the person at the rig couple the joint or take it off; the rig is disarmed meanwhile."""
@@ -117,21 +125,14 @@ def measuring(options: argparse.Namespace, rig: Rig, seconds: float) -> Iterator
             ) from None
         session.client.connect()
 
-    couple: Callable[[bool], None] = ask
     with ExitStack() as resources:
         try:
-            seed = seed_of(options.port)
-            if seed is None:
-                port = SerialPort(options.port, rig.baud)
-            else:
-                emulated = EmulatedRig(rig, seed)
-                port = VirtualPort(emulated)
-                couple = emulated.plant.load
+            port, couple = opened(options.port, rig)
         except Rx90Error:
             out.rmdir()
             raise
         resources.callback(port.close)
-        session = Session(RigClient(port, rig), couple, None)
+        session = Session(RigClient(port, rig), couple or ask, None)
         try:
             with tqdm(
                 total=round(seconds, 1), unit="s", desc="ramps", disable=None, bar_format=_BAR

@@ -13,7 +13,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_emulator.vplus.task import Task, configuration
-from rx90_emulator.vplus.transformations import frame, inverse, placed, trans
+from rx90_emulator.vplus.transformations import frame, inverse, placed, six, trans
 from rx90_emulator.vplus.tree import Tree, entries
 from rx90_emulator.vplus.values import NUMBERS, Cell, Format, Joints, Value, VplusError
 
@@ -265,7 +265,7 @@ _VALUES: Final[dict[str, Any]] = {
     "$DECODE": _decoded,
     "$ERROR": _error_text,
     "TRANS": trans,
-    "#PPOINT": lambda *joints: Joints([*(joint or 0.0 for joint in joints), *[0.0] * 6][:6]),
+    "#PPOINT": lambda *joints: Joints(six(joints)),
     "INVERSE": inverse,
     "SHIFT": lambda place, *by: trans(*by) @ place,
     "SCALE": lambda place, factor: placed(place[:3, :3], factor * place[:3, 3]),

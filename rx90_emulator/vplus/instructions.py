@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import zip_longest
 from typing import Any, Final
 
 import numpy as np
@@ -122,26 +123,22 @@ def _decompose(task: Task, value: Array | Joints, target: Tree) -> None:
 
 
 def _set_tool(task: Task, tool: Array | None = None) -> Waits:
-    yield from _motion_end(task)
+    yield from task.motion_end()
     task.tool = np.eye(4) if tool is None else tool
 
 
 def _set_base(task: Task, *place: float | None) -> Waits:
     """Say where the robot stands: x, y, z, and its turn about z."""
-    yield from _motion_end(task)
+    yield from task.motion_end()
     task.base = trans(*place)
 
 
 # Motions.
 
 
-def _motion_end(task: Task) -> Waits:
-    return task.until(lambda: task.queue.at_end, "the end of the motion")
-
-
 def _break(task: Task) -> Waits:
     """Wait for the end of the motion, and for small position errors."""
-    yield from _motion_end(task)
+    yield from task.motion_end()
     cell = task.cell
     if task.queue.done and task.queue.done[-1].nulls:
         latest = cell.time + _NULL_TIME
@@ -177,7 +174,7 @@ def _issue(task: Task, end: Array, **instead: float) -> Waits:
 
 def _motion(task: Task, end: Array) -> Motion:
     where = f"{task.frame.program.name}:{task.step.line}"
-    return Motion(task.step.word, where, task.queue.destination, end, tool=task.tool)
+    return Motion(task.step.word, where, task.queue.destination, end, task.tool)
 
 
 def _give(task: Task, motion: Motion) -> Waits:
@@ -222,10 +219,8 @@ def _drive(task: Task, joint: int, change: float, percent: float) -> Waits:
 
 def _move_joints(task: Task, *values: float | None) -> Waits:
     """Move to joint values; those that are left out stay."""
-    joints = list(task.arm.joints(task.queue.destination))
-    joints[: len(values)] = [
-        old if new is None else new for old, new in zip(joints, values, strict=False)
-    ]
+    present = task.arm.joints(task.queue.destination)
+    joints = (old if new is None else new for old, new in zip_longest(present, values))
     return _issue(task, task.arm.angles(Joints(joints)))
 
 

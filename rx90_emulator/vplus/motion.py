@@ -237,9 +237,9 @@ class Motion:
         where: program and line.
         start: joint angles, rad, shape (6,).
         end: likewise.
+        tool: the tool in use, mm.
         profile: the share of the way over time.
         line: the straight line of the tool; None for a motion of the joints.
-        tool: the tool in use, mm.
         continuous: whether the next motion may begin before the end of this one.
         nulls: whether it is over only when the position errors are small.
         at_start: what happens when it begins.
@@ -253,9 +253,9 @@ class Motion:
     where: str
     start: Array
     end: Array
+    tool: Array
     profile: Profile = Profile()
     line: Line | None = None
-    tool: Array = field(default_factory=lambda: np.eye(4))
     continuous: bool = True
     nulls: bool = True
     at_start: list[Callable[[], None]] = field(default_factory=list)

@@ -186,19 +186,16 @@ def _execute(task: Task, options: Options) -> None:
         for what in task.run():
             if not cell.queue.at_end:
                 moved = cell.time
-            where = (
-                f"stopped in {task.frame.program.name}, line {task.step.line}"
-                if task.frames
-                else "stopped"
-            )
+            reason = ""
             if cell.time - moved >= options.idle:
-                raise VplusError(
-                    "Time-out", f"no motion for {options.idle:g} s, waiting for {what}; {where}"
+                reason = f"no motion for {options.idle:g} s, waiting for {what}"
+            elif cell.time >= options.longest:
+                reason = f"the run takes more than {options.longest:g} s"
+            if reason:
+                place = (
+                    f" in {task.frame.program.name}, line {task.step.line}" if task.frames else ""
                 )
-            if cell.time >= options.longest:
-                raise VplusError(
-                    "Time-out", f"the run takes more than {options.longest:g} s; {where}"
-                )
+                raise VplusError("Time-out", f"{reason}; stopped{place}")
             _beat(cell)
     except VplusError:
         while not cell.queue.at_end and cell.time < options.longest:  # the motion under way ends

@@ -210,7 +210,7 @@ class Task:
             VplusError: naming program, step and line.
         """
         yield from self.walk()
-        yield from self.until(lambda: self.queue.at_end, "the end of the motion")
+        yield from self.motion_end()
 
     def walk(self, depth: int = 0) -> Waits:
         """Run until only so many programs are on their way; a motion may be under way then."""
@@ -249,6 +249,10 @@ class Task:
         routine = self.on_error
         self.on_error = ""
         self.call(routine)
+
+    def motion_end(self) -> Waits:
+        """Wait until no motion runs or waits."""
+        return self.until(lambda: self.queue.at_end, "the end of the motion")
 
     def until(self, condition: Callable[[], bool], what: str) -> Waits:
         """Wait until a condition holds, and react to signals meanwhile."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -28,9 +29,14 @@ def turned(axis: Array, degrees: float) -> Array:
     return placed(axis_rotation(axis, math.radians(degrees)), np.zeros(3))
 
 
+def six(numbers: Iterable[float | None]) -> list[float]:
+    """Return numbers up to the sixth; what is left out is 0."""
+    return [*(number or 0.0 for number in numbers), *[0.0] * 6][:6]
+
+
 def trans(*numbers: float | None) -> Array:
     """Return the transformation of x, y, z, yaw, pitch and roll; what is left out is 0."""
-    x, y, z, yaw, pitch, roll = [*(number or 0.0 for number in numbers), *[0.0] * 6][:6]
+    x, y, z, yaw, pitch, roll = six(numbers)
     place = turned(_Z, yaw) @ turned(_Y, pitch) @ turned(_Z, roll)
     place[:3, 3] = x, y, z
     return place

@@ -17,7 +17,7 @@ from rig_simulators import simavr, ucsim
 from shared_files import made_once
 
 from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig, NativeBoard, compile_core, firmware_directory
+from friction_bench.rig.emulated import EmulatedRig, NativeBoard, firmware_directory
 from friction_bench.rig.rig_file import Rig, load_rig
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -31,10 +31,10 @@ def _compiler() -> None:
     need("native")
 
 
-def make_firmware(target: str, sources: Path, out: Path) -> Path:
+def make_firmware(target: str, sources: Path, out: Path, *words: str) -> Path:
     """Build a target's binary by the firmware's own Makefile."""
     need(target)
-    command = ["make", "-s", "-C", str(sources), target, f"OUT={out}"]
+    command = ["make", "-s", "-C", str(sources), target, f"OUT={out}", *words]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return out / BINARIES[target]
@@ -57,8 +57,12 @@ def make_mutant(tmp_path: Path, make_board: Callable[..., Any]) -> Callable[...,
     """Return a maker of a board with a firmware in which one text is replaced."""
 
     def make(target: str, file: str, old: str, new: str) -> Any:
-        sources = mutate(tmp_path / "mutant", file, old, new)
-        return make_board(target, binary=make_firmware(target, sources, tmp_path / "mutant_firmware"))
+        sources = tmp_path / "mutant"
+        shutil.copytree(firmware_directory(), sources)
+        text = (sources / file).read_text()
+        assert text.count(old) == 1, f"{file} holds {old!r} {text.count(old)} times"
+        (sources / file).write_text(text.replace(old, new))
+        return make_board(target, binary=make_firmware(target, sources, tmp_path / "out", "WARN="))
 
     return make
 
@@ -122,28 +126,6 @@ def bench(rig: Rig, tmp_path: Path) -> Iterator[Bench]:
         yield made
     finally:
         made.close()
-
-
-def mutate(folder: Path, file: str, old: str, new: str) -> Path:
-    """Copy the firmware's sources into `folder` with one text replaced; return the folder."""
-    shutil.copytree(firmware_directory(), folder, dirs_exist_ok=True)
-    text = (folder / file).read_text()
-    assert text.count(old) == 1, f"{file} holds {old!r} {text.count(old)} times"
-    (folder / file).write_text(text.replace(old, new))
-    return folder
-
-
-@pytest.fixture
-def mutant(tmp_path: Path) -> Callable[..., NativeBoard]:
-    """Return a builder of a native board whose firmware has one text replaced."""
-
-    def build(file: str, old: str, new: str) -> NativeBoard:
-        sources = mutate(tmp_path / "mutant", file, old, new)
-        library = tmp_path / "mutant.so"
-        compile_core(sources, library, {})
-        return NativeBoard(library=library)
-
-    return build
 
 
 @pytest.fixture(autouse=True)

@@ -61,9 +61,9 @@ def test_every_target_follows_the_transcript(target: str, transcript: Path, make
 
 
 @pytest.mark.parametrize("name", MUTANTS)
-def test_transcripts_catch_the_mutant(name: str, mutant: Callable[..., Any]) -> None:
+def test_transcripts_catch_the_mutant(name: str, make_mutant: Callable[..., Any]) -> None:
     """A firmware with one rule of safety taken out fails a transcript."""
-    board = mutant(*MUTANTS[name])
+    board = make_mutant("native", *MUTANTS[name])
     for transcript in TRANSCRIPTS:
         board.reset(1)
         try:

@@ -73,10 +73,10 @@ MUTANTS = {
 
 
 @pytest.mark.parametrize("name", MUTANTS)
-def test_a_fault_of_the_firmware_is_found(name: str, mutant: Callable[..., Any], rig: Rig) -> None:
+def test_a_fault_of_the_firmware_is_found(name: str, make_mutant: Callable[..., Any], rig: Rig) -> None:
     """A firmware without one of its rules fails the check that shows it."""
     old, new, check, found = MUTANTS[name]
-    client = greeted(rig, board=mutant("core/rig.c", old, new))
+    client = greeted(rig, board=make_mutant("native", "core/rig.c", old, new))
     faults = {each.name: each.found for each in self_test(client) if not each.good}
     assert found in faults[check]
 
