@@ -47,8 +47,9 @@ from rx90_common.description.coupling import (
     share_among_drives,
     turn_of_drive,
 )
+from rx90_common.friction.arm_elements import add_to_joints
 from rx90_common.kernels.compiled import inlined, kernel
-from rx90_common.kernels.lanes import size
+from rx90_common.kernels.lanes import load, size
 from rx90_sim.drives import add_cogging
 from rx90_sim.joint_friction import (
     add_brakes,
@@ -56,7 +57,6 @@ from rx90_sim.joint_friction import (
     add_friction,
     add_stops,
     advance_loads,
-    take_last_friction,
 )
 
 _MAX_ITERATIONS = 50  # of Newton's method, which takes two or three
@@ -162,17 +162,6 @@ def _push(
 
 
 @kernel
-def twist_at_rest(stiffness: float, half_play: float, torque: float) -> float:
-    """Return the twist, rad, that transmits a torque, Nm, at rest; the middle of the play for none."""
-    twist = torque / stiffness
-    if torque > 0.0:
-        twist += half_play
-    elif torque < 0.0:
-        twist -= half_play
-    return twist
-
-
-@kernel
 def hang_links(plant: Any, state: Any) -> None:
     """Move the links, `state.q`, from where the motors are to where they rest in the twisted gears; `state.v` is 0."""
     gears = state.transmission
@@ -194,15 +183,15 @@ def hang_links(plant: Any, state: Any) -> None:
 
 @inlined
 def _twist_by_weight(plant: Any, gears: Any, weight: Array) -> None:
-    """Write the torques that the gears transmit to an arm at rest, and their twists."""
+    """Write the torques that the gears transmit to an arm at rest, and their twists; mid-play for none."""
     constants = plant.transmission
     share_among_drives(plant.gear, weight, gears.torque)
     for i in range(size(constants.rotor)):
         gears.twist[i] = 0.0
         if constants.elastic[i]:
-            gears.twist[i] = twist_at_rest(
-                constants.stiffness[i], constants.half_play[i], gears.torque[i]
-            )
+            torque = gears.torque[i]
+            gears.twist[i] = torque / constants.stiffness[i]
+            gears.twist[i] += np.sign(torque) * constants.half_play[i]
 
 
 @kernel
@@ -255,7 +244,7 @@ def elastic_substep(plant: Any, state: Any, step: float) -> None:
         add_drive_torques(plant.gear, gears.torque, state.rhs)
         # lies between gear and link: the link gets what friction leaves
         if plant.transmission.link_friction:
-            take_last_friction(plant, state, state.rhs)
+            add_to_joints(plant.gear, state.rhs, -load(state.parts.friction, size(state.z)))
         advance_loads(plant, state, state.rhs, state.acceleration, step)
 
 

@@ -84,12 +84,6 @@ def add_brakes(plant: Any, state: Any, velocity: Array, torque: Array, step: flo
         add_to_joints(plant.gear, torque, -_advance_brakes(plant, state, velocity, step))
 
 
-@kernel
-def take_last_friction(plant: Any, state: Any, torque: Array) -> None:
-    """Take the torques of elements with parts in the last step off those of the joints, Nm, shape (n,)."""
-    add_to_joints(plant.gear, torque, -load(state.parts.friction, size(state.z)))
-
-
 @inlined
 def _advance_elements(plant: Any, state: Any, angle: Array, velocity: Array, step: float) -> Lanes:
     """Advance the bristles of the elements; return their torques, Nm."""

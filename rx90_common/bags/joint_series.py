@@ -65,15 +65,14 @@ class JointSeries:
     @property
     def quantities(self) -> dict[str, str]:
         """Return each field's quantity and unit, such as `position [rad]`; friction_states have other names."""
-        names = {field: name for field, (name, _) in quantities(self.topic).items()}
-        names["effort"] = "effort" if self.effort_unit else names["effort"]
-        return {field: f"{name} [{self.units[field]}]" for field, name in names.items()}
+        pairs = quantities(self.topic, self.effort_unit)
+        return {field: f"{name} [{unit}]" for field, (name, unit) in pairs.items()}
 
     @property
     def units(self) -> dict[str, str]:
         """Return the unit of each field."""
-        units = {field: unit for field, (_, unit) in quantities(self.topic).items()}
-        return units | {"effort": self.effort_unit or units["effort"]}
+        pairs = quantities(self.topic, self.effort_unit)
+        return {field: unit for field, (_, unit) in pairs.items()}
 
     @property
     def time(self) -> Array:

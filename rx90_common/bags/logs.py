@@ -9,10 +9,9 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from decimal import Decimal, DecimalException
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -42,8 +41,7 @@ _Columns = Mapping[int | str, Any]
 _Flags = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, eq=False)
-class ReadLog:
+class ReadLog(NamedTuple):
     """What was read of a log.
 
     Attributes:

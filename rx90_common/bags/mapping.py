@@ -176,8 +176,7 @@ class MessageColumns(FileModel):
     @property
     def fields(self) -> dict[str, FieldColumns]:
         """Return the columns by what they hold."""
-        columns = {"position": self.position, "velocity": self.velocity, "effort": self.effort}
-        return {name: given for name, given in columns.items() if given is not None}
+        return {name: columns for name in FIELDS if (columns := getattr(self, name)) is not None}
 
     def effort_unit(self, topic: str) -> str:
         """Return the unit of the efforts in the bag if it is not the usual one of the topic's name."""

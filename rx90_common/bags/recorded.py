@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from rx90_common.bags.reading import BagReader, JointBag
 from rx90_common.bags.topics import JOINT_TRAJECTORY
@@ -17,8 +16,7 @@ START: Final = "start"
 TRAJECTORY: Final = "trajectory"
 
 
-@dataclass(frozen=True)
-class RecordedTrajectory:
+class RecordedTrajectory(NamedTuple):
     """A trajectory that a controller took.
 
     Attributes:

@@ -66,10 +66,11 @@ def reports_changes(topic: str, msgtype: str) -> bool:
     return msgtype == PARAMETER_EVENT and topic.rpartition("/")[2] == PARAMETERS
 
 
-def quantities(topic: str) -> dict[str, tuple[str, str]]:
-    """Return the quantity of each field of a topic's messages, and its unit, unless a bag states others."""
-    own = _QUANTITIES.get(topic.rpartition("/")[2], {})
-    return {field: own.get(field, (field, USUAL_UNITS[field])) for field in FIELDS}
+def quantities(topic: str, effort_unit: str = "") -> dict[str, tuple[str, str]]:
+    """Return the quantity of each field of a topic's messages, and its unit; with a unit of the efforts, if given."""
+    usual = _QUANTITIES.get(topic.rpartition("/")[2], {})
+    known = {**usual, "effort": ("effort", effort_unit)} if effort_unit else usual
+    return {field: known.get(field, (field, unit)) for field, unit in USUAL_UNITS.items()}
 
 
 def absolute(topic: str) -> str:

@@ -414,13 +414,7 @@ class DriveParameters(FileModel):
 
     @model_serializer(mode="wrap")
     def _without_ideal_blocks(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        used = (
-            self.elasticity.used,
-            self.cogging.used,
-            self.winding.used,
-            self.current_sensor.used,
-        )
-        ideal = [name for name, block_used in zip(_OPTIONAL, used, strict=True) if not block_used]
+        ideal = [name for name, block in self if name in _OPTIONAL and not block.used]
         return {name: value for name, value in write(self).items() if name not in ideal}
 
     @cached_property

@@ -63,7 +63,7 @@ class SphericalWristArm:
     @property
     def reach(self) -> float:
         """Return the largest distance from axis 2 to the wrist centre, m."""
-        return _plane_length(self.upper) + _plane_length(self.fore)
+        return float(_plane_length(self.upper) + _plane_length(self.fore))
 
     @staticmethod
     def from_chain(chain: RigidChain) -> SphericalWristArm | None:
@@ -133,7 +133,7 @@ class SphericalWristArm:
         w = product(product(transposed(self.basis), rotation), self.basis)
         sign = 1.0 if branch.wrist == "positive" else -1.0
         angle_4 = angles_of(sign * w[:, 1, 2], sign * w[:, 0, 2])
-        angle_5 = sign * angles_of(_plane_lengths(w[:, :2, 2]), w[:, 2, 2])
+        angle_5 = sign * angles_of(_plane_length(w[:, :2, 2]), w[:, 2, 2])
         angle_6 = angles_of(sign * w[:, 2, 1], -sign * w[:, 2, 0])
         return np.stack([angle_4, angle_5, angle_6], axis=-1)
 
@@ -153,13 +153,9 @@ class SphericalWristArm:
         return np.asarray(self.signs[2] * np.asarray(q)[..., 2] + bend)
 
 
-def _plane_lengths(vectors: Array) -> Array:
-    """Return the lengths (n,) of vectors (n, 2)."""
-    return np.asarray(np.sqrt(vectors[:, 0] * vectors[:, 0] + vectors[:, 1] * vectors[:, 1]))
-
-
-def _plane_length(vector: Array) -> float:
-    return float(_plane_lengths(vector[None])[0])
+def _plane_length(vector: Array) -> Array:
+    """Return the lengths (...) of vectors (..., 2)."""
+    return np.asarray(np.sqrt(vector[..., 0] * vector[..., 0] + vector[..., 1] * vector[..., 1]))
 
 
 def nearest_turn(q: Array, reference: Array) -> Array:

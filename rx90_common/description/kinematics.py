@@ -212,11 +212,9 @@ class LinkTransforms:
 
     def __init__(self, placements: Sequence[Placement]) -> None:
         self.links = tuple((place.parent, place.child) for place in placements)
-        self.translation = np.array([place.xyz for place in placements], dtype=np.float64).reshape(
-            -1, 3
-        )
+        self.translation = np.array([place.xyz for place in placements]).reshape(-1, 3)
         self._still = np.array([rpy_quaternion(place.rpy) for place in placements]).reshape(-1, 4)
-        axes = np.array([place.axis for place in placements], dtype=np.float64).reshape(-1, 3)
+        axes = np.array([place.axis for place in placements]).reshape(-1, 3)
         half_turn = np.column_stack([axes / length(axes)[:, None], np.zeros(len(axes))])
         self._turned = quaternion_product(self._still, half_turn)
 

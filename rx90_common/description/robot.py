@@ -26,7 +26,7 @@ from rx90_common.description.urdf import Placement, UrdfFile, inertia_fault
 MOUNT_LINK = "tool0"
 TOOL_LINK = "tool"
 TCP_LINK = "tcp"
-_COLOR = "0.75 0.15 0.15 1"
+_MATERIAL = '<material name="tool"><color rgba="0.75 0.15 0.15 1"/></material>'
 _Degrees: TypeAlias = Annotated[
     tuple[Annotated[float, Field(ge=-360.0, le=360.0)], ...],
     Field(strict=False, min_length=3, max_length=3),
@@ -95,30 +95,24 @@ def load_tool(file: Path) -> Tool:
 
 
 def _text(values: tuple[float, ...]) -> str:
-    return " ".join(repr(value) for value in values)
+    return " ".join(map(repr, values))
 
 
-def _fixed_joint(
-    robot: ET.Element, child: str, xyz: tuple[float, ...], rpy: tuple[float, ...]
-) -> None:
-    joint = ET.SubElement(robot, "joint", name=f"{child}_fixed", type="fixed")
-    ET.SubElement(joint, "origin", xyz=_text(xyz), rpy=_text(rpy))
-    ET.SubElement(joint, "parent", link=MOUNT_LINK)
-    ET.SubElement(joint, "child", link=child)
+def _shapes(kind: str, shape: Shape | None, material: str = "") -> str:
+    """Return the cylinders of a shape as elements of this kind, "visual" or "collision"."""
+    cylinders = () if shape is None else shape.cylinders.entries.values()
+    return "".join(
+        f'<{kind}><origin xyz="0.0 0.0 {(start + end) / 2.0}" rpy="0.0 0.0 0.0"/>'
+        f'<geometry><cylinder radius="{radius}" length="{end - start}"/></geometry>{material}</{kind}>'
+        for start, end, radius in cylinders
+    )
 
 
-def _add_shape(link: ET.Element, kind: str, shape: Shape | None) -> list[ET.Element]:
-    """Add cylinders to a link as its "visual" or "collision"; return these elements."""
-    elements = []
-    for start, end, radius in () if shape is None else shape.cylinders.entries.values():
-        element = ET.SubElement(link, kind)
-        ET.SubElement(
-            element, "origin", xyz=_text((0.0, 0.0, (start + end) / 2.0)), rpy=_text((0.0,) * 3)
-        )
-        geometry = ET.SubElement(element, "geometry")
-        ET.SubElement(geometry, "cylinder", radius=repr(radius), length=repr(end - start))
-        elements.append(element)
-    return elements
+def _fixed_joint(child: str, xyz: tuple[float, ...], rpy: tuple[float, ...]) -> str:
+    return (
+        f'<joint name="{child}_fixed" type="fixed"><origin xyz="{_text(xyz)}" rpy="{_text(rpy)}"/>'
+        f'<parent link="{MOUNT_LINK}"/><child link="{child}"/></joint>'
+    )
 
 
 def attach(root: ET.Element, tool: Tool, urdf: Path) -> None:
@@ -133,24 +127,19 @@ def attach(root: ET.Element, tool: Tool, urdf: Path) -> None:
             raise ConfigError(
                 f"{urdf}: a link is '{name}'; accepted: a URDF without that link, where a tool file is given"
             )
+    ixx, iyy, izz, ixy, ixz, iyz = tool.inertial.inertia
     zero = (0.0, 0.0, 0.0)
-    link = ET.SubElement(root, "link", name=TOOL_LINK)
-    inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=_text(tool.inertial.center_of_mass), rpy=_text(zero))
-    ET.SubElement(inertial, "mass", value=repr(tool.inertial.mass))
-    keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-    ET.SubElement(
-        inertial,
-        "inertia",
-        {key: repr(value) for key, value in zip(keys, tool.inertial.inertia, strict=True)},
+    angles = tuple(map(math.radians, tool.tcp.rpy_degrees))
+    added = (
+        f'<robot><link name="{TOOL_LINK}"><inertial>'
+        f'<origin xyz="{_text(tool.inertial.center_of_mass)}" rpy="{_text(zero)}"/>'
+        f'<mass value="{tool.inertial.mass}"/>'
+        f'<inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="{ixy}" ixz="{ixz}" iyz="{iyz}"/></inertial>'
+        f"{_shapes('visual', tool.visual, _MATERIAL)}{_shapes('collision', tool.collision)}</link>"
+        f'{_fixed_joint(TOOL_LINK, zero, zero)}<link name="{TCP_LINK}"/>'
+        f"{_fixed_joint(TCP_LINK, tool.tcp.position, angles)}</robot>"
     )
-    for element in _add_shape(link, "visual", tool.visual):
-        material = ET.SubElement(element, "material", name="tool")
-        ET.SubElement(material, "color", rgba=_COLOR)
-    _add_shape(link, "collision", tool.collision)
-    _fixed_joint(root, TOOL_LINK, zero, zero)
-    ET.SubElement(root, "link", name=TCP_LINK)
-    _fixed_joint(root, TCP_LINK, tool.tcp.position, tuple(map(math.radians, tool.tcp.rpy_degrees)))
+    root.extend(ET.fromstring(added))
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,10 +197,7 @@ def load_robot(
     except (ValueError, RuntimeError) as error:
         file.refuse("the URDF", " ".join(str(error).split()), "what Pinocchio can read")
     names = tuple(file.limits)
-    limits = np.array(
-        [(lim.lower, lim.upper, lim.velocity, lim.effort) for lim in file.limits.values()]
-    )
-    lower, upper, velocity, effort = (np.ascontiguousarray(column) for column in limits.T)
+    lower, upper, velocity, effort = np.array([*file.limits.values()]).T.copy()  # contiguous rows
     frame = _tcp_frame(file, model, tool is not None)
     chain = rigid_chain(file, frame)
     placements = tuple(file.placements())

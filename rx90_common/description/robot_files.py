@@ -107,7 +107,7 @@ class RobotFiles:
         )
 
     @classmethod
-    def named(cls, robot: str | None = None, /, **names: str | None) -> RobotFiles:
+    def named(cls, robot: Path | str | None = None, /, **names: Path | str | None) -> RobotFiles:
         """Return a robot's files, replaced by those that a user names.
 
         A folder without a URDF inside a robot folder is a variant: files that it lacks are that robot's.
@@ -120,7 +120,7 @@ class RobotFiles:
         Raises:
             ConfigError: for a robot or a file that does not exist.
         """
-        folder = robot_folder(DEFAULT_ROBOT if robot is None else robot)
+        folder = robot_folder(DEFAULT_ROBOT if robot is None else str(robot))
         above = folder.parent
         variant = (above / FILES["urdf"]).is_file() and not (folder / FILES["urdf"]).is_file()
         files: dict[str, Path | None] = {}
@@ -132,7 +132,7 @@ class RobotFiles:
             if role == "tool" and given == NO_TOOL:
                 files[role] = None
             elif given is not None:
-                files[role] = resolve_config(given)
+                files[role] = resolve_config(str(given))
             else:
                 files[role] = None if role in _OPTIONAL and not own.is_file() else own
         return cls(**files)  # type: ignore[arg-type]  # None only for optional files

@@ -26,6 +26,11 @@ def length(vector: Array) -> Array:
     return np.asarray(np.sqrt(dot(vector, vector)))
 
 
+def angle_between(a: Array, b: Array) -> Array:
+    """Return the angles (...), rad, between vectors (..., 3)."""
+    return np.asarray(np.arctan2(length(np.cross(a, b)), dot(a, b)))
+
+
 def transposed(rotation: Array) -> Array:
     """Return the inverse of rotations (..., 3, 3)."""
     return np.swapaxes(rotation, -1, -2)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Collection
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
@@ -87,8 +86,7 @@ def _check_dynamics(file: Path, root: ET.Element) -> None:
                     )
 
 
-@dataclass(frozen=True)
-class Limits:
+class Limits(NamedTuple):
     """Limits of one revolute joint: rad, rad/s, Nm."""
 
     lower: float
@@ -238,16 +236,15 @@ class UrdfFile:
         element = joint.find("limit")
         if element is None:
             self.refuse(f"{where} limit", None, "lower, upper, velocity and effort")
-        lower = self._numbers(element, f"{where} limit", "lower", None)[0]
-        upper = self._numbers(element, f"{where} limit", "upper", None)[0]
-        velocity = self._numbers(element, f"{where} limit", "velocity", None)[0]
-        effort = self._numbers(element, f"{where} limit", "effort", None)[0]
-        if not lower < upper:
-            self.refuse(f"{where} limit lower", lower, f"a number < upper = {upper:g} rad")
-        for key, value, unit in (("velocity", velocity, "rad/s"), ("effort", effort, "Nm")):
-            if value <= 0.0:
-                self.refuse(f"{where} limit {key}", value, f"a number > 0 {unit}")
-        return Limits(lower, upper, velocity, effort)
+        where += " limit"
+        limits = Limits(*(self._numbers(element, where, key, None)[0] for key in Limits._fields))
+        if not limits.lower < limits.upper:
+            self.refuse(f"{where} lower", limits.lower, f"a number < upper = {limits.upper:g} rad")
+        if limits.velocity <= 0.0:
+            self.refuse(f"{where} velocity", limits.velocity, "a number > 0 rad/s")
+        if limits.effort <= 0.0:
+            self.refuse(f"{where} effort", limits.effort, "a number > 0 Nm")
+        return limits
 
     def placements(self) -> list[Placement]:
         """Return the frames of all joints, a tool's that was attached too, each after those before it in the tree."""

@@ -217,13 +217,8 @@ def _with_bristles(rows: FrictionRows, choice: Choice, tried: Sequence[int]) -> 
     choice = replace(choice, trials=(*choice.trials, *trials))
     if tuple(laws) == choice.laws:
         return choice
-    known = [
-        {name: values[name] for name in law.names}
-        for law, values in zip(laws, after.values, strict=True)
-    ]
-    return without_bound_parts(
-        rows, replace(choice, laws=tuple(laws), fit=fit_laws(rows, laws, None, known))
-    )
+    result = fit_laws(rows, laws, known=_known(after.laws, laws, after.fit))
+    return without_bound_parts(rows, replace(choice, laws=tuple(laws), fit=result))
 
 
 def without_bound_parts(rows: FrictionRows, choice: Choice) -> Choice:

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from rx90_common.base.arrays import Array, Index, Mask
-from rx90_common.estimation.fit import Fit, Problem, Projected, fit
+from rx90_common.estimation.fit import Fit, Problem, Projected, fit, of_groups
 from rx90_common.estimation.law import Law, Speeds
 
 
@@ -77,12 +77,9 @@ class FrictionRows:
 
     def problem(self, laws: Sequence[Law], start: Array | None = None) -> Problem:
         """Return the problem of one law for each element; its parameters stand one element after the other."""
-        bounds = [
-            law.bounds(element.speeds) for law, element in zip(laws, self.elements, strict=True)
-        ]
-        first = [
-            law.starts(element.speeds)[0] for law, element in zip(laws, self.elements, strict=True)
-        ]
+        pairs = list(zip(laws, self.elements, strict=True))
+        bounds = [law.bounds(element.speeds) for law, element in pairs]
+        first = [law.starts(element.speeds)[0] for law, element in pairs]
 
         def model(x: Array) -> tuple[Array, Array]:
             total = np.zeros(len(self.target))
@@ -159,11 +156,8 @@ def find_start(
     """Return a start of all parameters, shape (q,): each element's shapes are sought with the others' as they are."""
     problem = rows.problem(laws)
     if weight is None:
-        size = [
-            max(float(np.std(rows.target[rows.group == g])), 1e-12)
-            for g in range(int(rows.group.max()) + 1)
-        ]
-        weight = 1.0 / np.array(size)[rows.group] ** 2
+        spread = of_groups(problem, rows.target, np.std)
+        weight = 1.0 / np.maximum(spread, 1e-12)[rows.group] ** 2
     projected = Projected(problem, weight)
     known = [{} for _ in laws] if known is None else known
     starts = [

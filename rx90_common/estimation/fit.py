@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from scipy.linalg import qr
@@ -151,19 +152,17 @@ def fit(problem: Problem, weight: Array | None = None) -> Fit:
     """
     if weight is not None:
         return _fitted(problem, problem.start, weight)
-    groups = int(problem.group.max(initial=-1)) + 1
     least = max(
         LEAST_NOISE * float(np.abs(problem.target).max(initial=0.0)),
         np.finfo(np.float64).tiny ** 0.25,
     )
-    spread = np.array([np.std(problem.target[problem.group == g]) for g in range(groups)])
+    spread = of_groups(problem, problem.target, np.std)
     x = problem.start
     linear = Projected(problem, 1.0 / np.maximum(spread, least)[problem.group] ** 2).linear(x)
     residual = problem.target - problem.model(x)[0] - problem.linear @ linear
     for _ in range(REWEIGHTINGS + 1):
         size = np.abs(residual)
-        noise = np.array([_noise(size[problem.group == g]) for g in range(groups)])
-        noise = np.maximum(noise, least)
+        noise = np.maximum(_noise(problem, residual), least)
         over = HUBER * noise[problem.group] / np.maximum(size, np.finfo(np.float64).tiny)
         weight = np.minimum(1.0, over) / noise[problem.group] ** 2
         result = _fitted(problem, x, weight)
@@ -172,8 +171,16 @@ def fit(problem: Problem, weight: Array | None = None) -> Fit:
     return replace(result, noise=noise, outlying=over < 1.0)
 
 
-def _noise(size: Array) -> float:
-    return MAD_TO_DEVIATION * float(np.median(size)) if len(size) else 0.0
+def _noise(problem: Problem, residual: Array) -> Array:
+    """Return the standard deviation of each group's noise, shape (groups,)."""
+    return MAD_TO_DEVIATION * of_groups(problem, np.abs(residual), np.median)
+
+
+def of_groups(problem: Problem, values: Array, measure: Callable[[Array], Any]) -> Array:
+    """Return a measure of the values of each group, shape (groups,); 0 for one without rows."""
+    groups = range(problem.group.max(initial=-1) + 1)
+    parts = (values[problem.group == group] for group in groups)
+    return np.array([measure(part) if len(part) else 0.0 for part in parts])
 
 
 class Projected:
@@ -300,8 +307,6 @@ def _fitted(problem: Problem, start: Array, weight: Array) -> Fit:
     torque, slopes = problem.model(x)
     residual = problem.target - torque - problem.linear @ linear
     squares = projected.residual(x)
-    groups = int(problem.group.max(initial=-1)) + 1
-    noise = np.array([_noise(np.abs(residual[problem.group == g])) for g in range(groups)])
     jacobian = projected.jacobian(x)
     return Fit(
         problem=problem,
@@ -309,7 +314,7 @@ def _fitted(problem: Problem, start: Array, weight: Array) -> Fit:
         linear=linear,
         slopes=slopes,
         residual=residual,
-        noise=noise,
+        noise=_noise(problem, residual),
         weight=weight,
         at_bound=_at_bound(problem, x, squares, jacobian),
         outlying=np.zeros(len(residual), dtype=np.bool_),

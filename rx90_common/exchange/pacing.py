@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -127,11 +128,8 @@ class Pacer:
         return counts
 
 
-class ThrottledLog:
-    """Prints a line at once, and the next one of its kind after five seconds, with the count of those in between.
-
-    Lines of one kind are counted together, so that a number in the text does not make a new line of it. Each is printed
-    as `one_line` has it.
+class _Log:
+    """Prints a line again only when it is due, and each as `one_line` has it.
 
     Args:
         announce: prints a line.
@@ -144,13 +142,20 @@ class ThrottledLog:
         self._announce = announce
         self._clock = clock
         self._due: dict[str, float] = {}
-        self._suppressed: dict[str, int] = {}
+        self._suppressed: Counter[str] = Counter()
+
+
+class ThrottledLog(_Log):
+    """Prints a line at once, and the next one of its kind after five seconds, with the count of those in between.
+
+    Lines of one kind are counted together, so that a number in the text does not make a new line of it.
+    """
 
     def say(self, kind: str, text: str) -> None:
         """Print `text`, if the last line of this kind was printed at least five seconds ago."""
         now = self._clock()
         if now < self._due.get(kind, now):
-            self._suppressed[kind] = self._suppressed.get(kind, 0) + 1
+            self._suppressed[kind] += 1
             return
         self._due[kind] = now + _LINE_PERIOD
         suppressed = self._suppressed.pop(kind, 0)
@@ -159,29 +164,18 @@ class ThrottledLog:
         )
 
 
-class OnceLog:
+class OnceLog(_Log):
     """Prints a line about a fault once, however often it comes; lines that differ in numbers alone are of one fault.
 
     One that has stayed away for half a minute is printed again. Callable from every thread.
-
-    Args:
-        announce: prints a line.
-        clock: the steady clock, s.
     """
-
-    def __init__(
-        self, announce: Callable[[str], None], clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._announce = announce
-        self._clock = clock
-        self._last: dict[str, float] = {}
 
     def say(self, text: str) -> None:
         """Print `text`, unless this fault is known."""
         now = self._clock()
         fault = _NUMBER.sub("#", text)
-        known = now - self._last.get(fault, -_FORGOTTEN) < _FORGOTTEN
-        self._last[fault] = now
+        known = now < self._due.get(fault, now)
+        self._due[fault] = now + _FORGOTTEN
         if not known:
             self._announce(one_line(text))
 

@@ -239,20 +239,17 @@ class DriveFault(NamedTuple):
         """Return the largest violation after a position loop that found one at `time`, s."""
         law = laws[0]
         state = states[0]
-        found = []
-        for quantity, unit, motor, motor_limit in (
-            ("following error", "rad", state["error"], law["following_error"]),
-            ("speed", "rad/s", state["reference"][1] - state["velocity_error"], law["over_speed"]),
-        ):
-            gear = law["gear"]["ratio"] if law["gear"].dtype.names else law["gear"]
-            value = np.empty(len(names))
-            limit = motor_limit / np.abs(gear)
-            joints_of(laws, np.ascontiguousarray(motor), value)
-            share = np.nan_to_num(np.abs(value) / limit, nan=np.inf)
-            k = int(np.argmax(share))
-            fault = cls(names[k], quantity, float(value[k]), float(limit[k]), unit, time)
-            found.append((float(share[k]), fault))
-        return max(found, key=lambda each: each[0])[1]
+        gear = law["gear"]["ratio"] if law["gear"].dtype.names else law["gear"]
+        limits = np.array([law["following_error"], law["over_speed"]]) / np.abs(gear)
+        motors = np.array([state["error"], state["reference"][1] - state["velocity_error"]])
+        values = np.empty_like(motors)
+        for row in range(2):
+            joints_of(laws, motors[row], values[row])
+        share = np.nan_to_num(np.abs(values) / limits, nan=np.inf)
+        row, joint = divmod(int(share.argmax()), len(names))
+        quantity, unit = (("following error", "rad"), ("speed", "rad/s"))[row]
+        value = float(values[row, joint])
+        return cls(names[joint], quantity, value, float(limits[row, joint]), unit, time)
 
     def __str__(self) -> str:
         """Return it as one line with the value and the limit."""

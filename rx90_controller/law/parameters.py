@@ -265,11 +265,6 @@ class CS7BParameters(FileModel):
         return np.array(self.feed_forward.viscous_exponent)
 
     @cached_property
-    def following_error(self) -> Array:
-        """Return position errors at which the power is cut, rad."""
-        return np.array(self.supervision.following_error)
-
-    @cached_property
     def max_acceleration(self) -> Array:
         """Return the most that a set-point may ask of each joint, rad/s^2."""
         return np.array(self.trajectory.max_acceleration)
@@ -322,7 +317,7 @@ class CS7BParameters(FileModel):
         law["current_gain"] = -exponential_less_one_of(
             -2.0 * math.pi * loop.bandwidth * rates.period
         )
-        law["following_error"] = self.following_error * gear
+        law["following_error"] = gear * self.supervision.following_error
         law["over_speed"] = self.supervision.over_speed * robot.max_velocity * gear
         if switch.model_parts:
             if self.model is None:

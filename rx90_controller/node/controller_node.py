@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
@@ -136,20 +136,21 @@ class Control:
         # The arrays are always the same, brought up to date by a call of the same method.
         codec = JointStateCodec(cs7b.joint_names)
         motors = JointStateCodec(motor)
-        update: Callable[[], object] = cs7b.details
         details = zip(DETAILS, (codec, motors, motors), cs7b.details(), strict=True)
+        slow_ns = tick_ns * parameters.slow_topics_every_n_ticks
         self._topics = [
+            (topic("reference"), 1, cs7b.reference, codec.encoder(*cs7b.reference())),
             (
-                topic(detail),
-                tick_ns * parameters.slow_topics_every_n_ticks,
-                update,
-                names.encoder(effort=values),
-            )
-            for detail, names, values in details
+                topic("tracking_error"),
+                1,
+                cs7b.tracking_error,
+                codec.encoder(*cs7b.tracking_error()),
+            ),
+            *(
+                (topic(detail), slow_ns, cs7b.details, names.encoder(effort=values))
+                for detail, names, values in details
+            ),
         ]
-        results = {"reference": cs7b.reference, "tracking_error": cs7b.tracking_error}
-        for result, update in results.items():
-            self._topics.append((topic(result), tick_ns, update, codec.encoder(*update())))
         self._offset = np.zeros(len(cs7b.joint_names))
         self._correction = topic(CORRECTION), codec.encoder(position=self._offset)
         self._accepted = node.create_publisher(

@@ -15,7 +15,7 @@ from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.client_node import ClientNode
 from rx90_common.exchange.endpoints import LATCHED_QOS, ros_time
-from rx90_controller.node.trajectory_client import NewestPositions, TrajectoryClient
+from rx90_controller.node.trajectory_client import TrajectoryClient
 
 OUTPUTS = "outputs"
 INPUTS = "inputs"
@@ -44,15 +44,12 @@ class ProgramClient:
         self._client.wait(
             lambda: self._targets.get_subscription_count() > 0, "a controller that takes set-points"
         )
-        namespace = trajectories.topic.rsplit("/", 2)[0]
-        self._arm = NewestPositions(client, f"{namespace}/joint_states", names)
-        self.start = trajectories.joint_positions(names)
-        self._client.wait(lambda: self._arm.position is not None, "the arm")
+        self._arm = trajectories.arm(names)
+        self.start = self._arm.position
         self._began: float | None = None
 
     def position(self) -> Array:
         """Return the newest measured joint angles, rad, shape (n,)."""
-        assert self._arm.position is not None
         return self._arm.position
 
     def send(self, time: float, position: Array, velocity: Array) -> None:

@@ -42,7 +42,7 @@ class NewestPositions:
     Messages in which a joint is missing are left out.
 
     Attributes:
-        position: rad, in the order of the names; None before the first message.
+        position: rad, in the order of the names; no numbers before the first message.
         time: its stamp, s.
         count: number of messages.
         standing: whether the newest message has the stamp of the one before: time stands still.
@@ -50,7 +50,7 @@ class NewestPositions:
 
     def __init__(self, client: ClientNode, topic: str, names: Sequence[str]) -> None:
         self._names = names
-        self.position: Array | None = None
+        self.position: Array = np.full(len(names), np.nan)
         self.time = -1.0
         self.count = 0
         self.standing = False
@@ -135,8 +135,8 @@ class TrajectoryClient:
                 return
             self._client.spin()
 
-    def joint_positions(self, names: Sequence[str]) -> Array:
-        """Return the present position of the controller's arm, rad, shape (n,).
+    def arm(self, names: Sequence[str]) -> NewestPositions:
+        """Return the subscription to the states of the controller's arm, after the first of them.
 
         Raises:
             ExchangeError: if no joint states come within the client's timeout.
@@ -145,11 +145,10 @@ class TrajectoryClient:
         self._arm = self._newest(
             self.topic.rsplit("/", 2)[0] + "/joint_states", names, "position of the joints"
         )
-        assert self._arm.position is not None
-        return self._arm.position
+        return self._arm
 
     def standing_time(self) -> float | None:
-        """Return the time at which the simulation stands still, s; None if it runs, or before `joint_positions`.
+        """Return the time at which the simulation stands still, s; None if it runs, or before `arm`.
 
         While time stands still the simulation repeats its newest sample a few times a second.
         """
@@ -172,7 +171,7 @@ class TrajectoryClient:
 
     def _newest(self, topic: str, names: Sequence[str], what: str) -> NewestPositions:
         newest = NewestPositions(self._client, topic, names)
-        self._client.wait(lambda: newest.position is not None, f"a {what} on {topic}")
+        self._client.wait(lambda: newest.count > 0, f"a {what} on {topic}")
         return newest
 
     def send(
@@ -283,7 +282,7 @@ def deliver(
     trajectory.wait_for_controller(starting)
     here = plan.start_pose
     if approach is not None or start_time <= 0.0:
-        here = trajectory.joint_positions(plan.joint_names)
+        here = trajectory.arm(plan.joint_names).position
     # else: where the arm will be by then is not known here; the controller checks it
     line = approached(plan, here, limits, set_point_period, approach)
     if line.approach > 0.0:

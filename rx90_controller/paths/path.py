@@ -350,9 +350,10 @@ class Path(TipTask):
         second[:, :3] = self.curve.at(distance, 2)
         if self.orientation == TANGENT:
             tool = rpy_rotation(self.start_rpy)
-            (x, y) = rotated(transposed(tool), self.curve.at(distance, 1)).T[:2]
-            (dx, dy) = rotated(transposed(tool), self.curve.at(distance, 2)).T[:2]
-            (ddx, ddy) = rotated(transposed(tool), self.curve.at(distance, 3)).T[:2]
+            along = np.array([self.curve.at(distance, order) for order in (1, 2, 3)])
+            seen = rotated(transposed(tool), along)
+            x, dx, ddx = seen[:, :, 0]
+            y, dy, ddy = seen[:, :, 1]
             horizontal = x * x + y * y
             rate = (x * dy - y * dx) / horizontal
             change = (x * ddy - y * ddx) / horizontal - 2.0 * rate * (x * dx + y * dy) / horizontal
@@ -411,9 +412,9 @@ class Path(TipTask):
         most = _RESERVE * most
         short = slope * self.acceleration + bend * requested[:, None] ** 2 > most
         with np.errstate(divide="ignore", invalid="ignore"):
-            allowed = np.where(short & (slope > 0.0), _ACCELERATION_SHARE * most / slope, np.inf)
+            allowed = np.where(short, _ACCELERATION_SHARE * most / slope, np.inf)
             acceleration = np.minimum(allowed.min(axis=1), self.acceleration)
-            turning = np.where(slope > 0.0, velocity / slope, np.inf)
+            turning = velocity / slope
             rest = np.maximum(most - slope * acceleration[:, None], 0.0)
             bending = np.where(bend > 0.0, np.sqrt(rest / bend), np.inf)
         both = np.stack([turning, bending])

@@ -139,16 +139,15 @@ class PlayedCorrection:
         row = np.clip(
             np.minimum(ticks, self.cut - 1) - self.begin, 0, len(self.correction.offsets) - 1
         )
-        share = np.clip((row + 1.0) / self.fade, 0.0, 1.0)
-        fading_out = np.clip((self.over - ticks) / self.fade, 0.0, 1.0)
-        weight = (
-            share
-            * share
-            * (3.0 - 2.0 * share)
-            * (fading_out * fading_out * (3.0 - 2.0 * fading_out))
-        )
+        weight = _eased((row + 1.0) / self.fade) * _eased((self.over - ticks) / self.fade)
         weight = np.where(ticks < self.begin, 0.0, weight)
         return np.asarray(self.correction.offsets[row] * weight[:, None])
+
+
+def _eased(share: Array) -> Array:
+    """Return shares that leave 0, and come to 1, without a slope."""
+    share = np.clip(share, 0.0, 1.0)
+    return np.asarray(share * share * (3.0 - 2.0 * share))
 
 
 def cut_at(played: list[PlayedCorrection], now: int, begin: int) -> list[PlayedCorrection]:

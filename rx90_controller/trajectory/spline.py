@@ -50,44 +50,24 @@ class Spline:
         return setpoints
 
     def bounds(self) -> tuple[Array, Array]:
-        """Return bounds of positions, velocities and accelerations, shape (3, j) each; infinite for no numbers.
+        """Return bounds of positions, velocities and accelerations, shape (3, j) each.
 
-        Between its ends a polynomial lies within its control points as a Bezier curve (Farin 2002, chapter 5).
+        Between its ends a polynomial lies within its control points as a Bezier curve: b_m is the sum of
+        C(m, i)/C(degree, i) c_i span^i (Farin 2002, chapter 5).
         """
-        shape = 3, self.final.size
-        low = np.full(shape, np.inf)
-        high = np.full(shape, -np.inf)
-        _control_points(self.coefficients, np.diff(self.times), low, high)
-        return low, high
-
-
-@kernel
-def _control_points(coefficients: Array, span: Array, low: Array, high: Array) -> None:
-    """Lower `low` and raise `high`, shape (3, j), to the control points of all pieces."""
-    scaled = np.empty(6)
-    for k in range(span.size):
-        for j in range(low.shape[1]):
-            for row in range(3):
-                degree = 5 - row
-                factor = 1.0
-                for i in range(degree + 1):
-                    # The derivative's coefficient, by the share of the span.
-                    scaled[i] = coefficients[k, i + row, j] * factor
-                    factor *= span[k]
-                    for d in range(row):
-                        scaled[i] *= i + row - d
-                # Differences of the control points, upwards: b_m = sum of C(m, i)/C(degree, i) scaled_i.
-                for m in range(degree + 1):
-                    value = 0.0
-                    share = 1.0
-                    for i in range(m + 1):
-                        value += share * scaled[i]
-                        share *= (m - i) / (degree - i) if i < degree else 0.0
-                    if not abs(value) < np.inf:
-                        low[row, j] = -np.inf
-                        high[row, j] = np.inf
-                    low[row, j] = min(low[row, j], value)
-                    high[row, j] = max(high[row, j], value)
+        span = np.diff(self.times)[:, None, None]
+        derivative = self.coefficients
+        low = []
+        high = []
+        for degree in (5, 4, 3):
+            powers = range(degree + 1)
+            share = [[math.comb(m, i) / math.comb(degree, i) for i in powers] for m in powers]
+            power = np.arange(degree + 1)[:, None]
+            control = np.array(share) @ (derivative * span**power)
+            low.append(control.min(axis=(0, 1), initial=np.inf))
+            high.append(control.max(axis=(0, 1), initial=-np.inf))
+            derivative = (derivative * power)[:, 1:]
+        return np.array(low), np.array(high)
 
 
 @kernel
@@ -197,17 +177,18 @@ def interpolate(
 
 def joined(first: Spline, at: float, second: Spline) -> Spline:
     """Return a spline that is the first one up to a time, s, and then the second one from its begin on."""
-    kept = first.times[:-1] < at
-    times = [first.times[:-1][kept]]
-    coefficients = [first.coefficients[kept]]
-    if at > first.duration:
-        times.append(first.times[-1:])
-        coefficients.append(np.zeros((1, 6, first.final.size)))
-        coefficients[-1][0, 0] = first.final
-    times.append(at + second.times)
-    coefficients.append(second.coefficients)
+    before = first.times < at
+    times = np.concatenate([first.times[before], at + second.times])
+    coefficients = np.concatenate([_and_rest(first)[before], second.coefficients])
     blend_error = max(first.blend_error, second.blend_error)
-    return Spline(np.concatenate(times), np.concatenate(coefficients), second.final, blend_error)
+    return Spline(times, coefficients, second.final, blend_error)
+
+
+def _and_rest(spline: Spline) -> Array:
+    """Return the coefficients of a spline and, behind its last knot, of the rest there, shape (n, 6, j)."""
+    rest = np.zeros((1, 6, spline.final.size))
+    rest[0, 0] = spline.final
+    return np.concatenate([spline.coefficients, rest])
 
 
 def remainder(spline: Spline, at: float) -> Spline:
@@ -228,17 +209,14 @@ def merged(spline: Spline, other: Spline, joints: Mask) -> Spline:
 def _expanded(spline: Spline, knots: Array) -> Array:
     """Return the coefficients of a spline by the times since other knots that include its own, shape (n, 6, j)."""
     piece = np.maximum(np.searchsorted(spline.times, knots, side="right") - 1, 0)
-    ended = knots >= spline.duration
-    coefficients = np.zeros((len(knots), 6, spline.final.size))
-    coefficients[ended, 0] = spline.final
-    old = spline.coefficients[piece[~ended]]
-    since = (knots[~ended] - spline.times[piece[~ended]])[:, None]
+    old = _and_rest(spline)[piece]
+    since = (knots - spline.times[piece])[:, None]
+    coefficients = np.zeros_like(old)
     for power in range(6):
         # Taylor's formula, by Horner's scheme.
-        value = np.zeros((len(old), spline.final.size))
         for n in range(5, power - 1, -1):
-            value = value * since + math.comb(n, power) * old[:, n]
-        coefficients[~ended, power] = value
+            shifted = coefficients[:, power] * since
+            coefficients[:, power] = shifted + math.comb(n, power) * old[:, n]
     return coefficients
 
 

@@ -51,11 +51,12 @@ def main(options: argparse.Namespace) -> int:
     # Here, because a wrong option must not wait for them.
     from rx90_emulator.demo.demonstration import Demonstration
 
-    robot = DEFAULT_ROBOT if options.robot is None else options.robot
     files = RobotFiles.of_options(options)
     pace = 0.0 if options.short else 1.0
     page = ["--port", _ANY_PORT] if options.view else None
-    demonstration = Demonstration(robot, files, pace, options.composed, page)
+    demonstration = Demonstration(
+        options.robot or DEFAULT_ROBOT, files, pace, options.composed, page
+    )
     return 0 if demonstration.run(_folder(options.output)) else 1
 
 

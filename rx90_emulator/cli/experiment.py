@@ -75,7 +75,9 @@ def _verbs(add_options: Callable[[argparse.ArgumentParser], None]) -> tuple[Verb
 
     def add_engine(parser: argparse.ArgumentParser) -> None:
         add_options(parser)
-        _add_bags(parser)
+        parser.set_defaults(interrupted="complete bags stay")
+        about = "folder for the bags; must not exist"
+        add_output(parser, new_folder, about, metavar="FOLDER", required=True)
 
     def add_nodes(parser: argparse.ArgumentParser) -> None:
         add_engine(parser)
@@ -153,13 +155,6 @@ def _add_motions(parser: argparse.ArgumentParser) -> None:
     )
     add_output(parser, new_folder, text, metavar="FOLDER")
     add_rate(parser)
-
-
-def _add_bags(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(interrupted="complete bags stay")
-    add_output(
-        parser, new_folder, "folder for the bags; must not exist", metavar="FOLDER", required=True
-    )
 
 
 def _plan(options: argparse.Namespace) -> None:

@@ -68,10 +68,6 @@ def _add_nodes(parser: argparse.ArgumentParser) -> None:
     add_node_arguments(parser)
 
 
-def _add_check(parser: argparse.ArgumentParser) -> None:
-    _add_file(parser)
-
-
 def _add_file(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
@@ -272,5 +268,5 @@ def _readings(words: list[str]) -> Readings:
 _VERBS = (
     (_add_engine, _engine, "run a program in the closed loop without ROS"),
     (_add_nodes, _nodes, "run a program on the running nodes"),
-    (_add_check, _check, "read and check files, run nothing"),
+    (_add_file, _check, "read and check files, run nothing"),
 )

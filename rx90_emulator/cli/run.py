@@ -101,12 +101,11 @@ def main(options: argparse.Namespace) -> None:
 
 def setup_of(options: argparse.Namespace) -> Setup:
     """Return the setup of the options, with the feed-forward that they leave on."""
-    from rx90_common.base.rates import Rates
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.loop.parameters import with_parameters
     from rx90_emulator.loop.setup import Setup
 
-    setup = Setup.load(RobotFiles.of_options(options), Rates(), options.seed or 0)
+    setup = Setup.load(RobotFiles.of_options(options), seed=options.seed or 0)
     if options.feed_forward == "none":
         setup = with_parameters(setup, {"controller.feed_forward.*": False})
     if options.feed_forward == "position":

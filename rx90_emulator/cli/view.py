@@ -126,4 +126,4 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
                 started()
             else:
                 tour.follow(page, view, started)
-            page.run(check_interrupt=client.check_interrupt)
+            page.run(client.check_interrupt)

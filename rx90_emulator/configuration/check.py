@@ -142,9 +142,12 @@ def _check_urdf(path: Path) -> CheckedFile:
     )
 
 
-def _faults_together(files: RobotFiles, setup: Setup) -> list[Rx90Error]:
+def _faults_together(files: RobotFiles) -> list[Rx90Error]:
     """Return what is wrong with files of a robot, each right alone, that others decide."""
-    faults: list[Rx90Error] = []
+    faults = _faults_of(lambda: Setup.load(files).plant())
+    if faults:
+        return faults
+    setup = Setup.load(files)
     task = files.task
     if task is not None:
         refused = _faults_of(lambda: plan_path(setup, load_task(task)))
@@ -176,16 +179,8 @@ def _check_robot(folder: Path) -> list[CheckedFile]:
     found.append(_check_urdf(files.urdf))
     if any(each.problems for each in found):
         return found
-    faults: list[Rx90Error] = []
-    try:
-        setup = Setup.load(files)
-        setup.plant()
-    except Rx90Error as refused:
-        faults.append(refused)
-    else:
-        faults += _faults_together(files, setup)
     together = []
-    for error in faults:
+    for error in _faults_together(files):
         of = next((path for path in roles if str(error).startswith(f"{plain(path)}: ")), None)
         lines: dict[str, int] = {}
         if of is not None:

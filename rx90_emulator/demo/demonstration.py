@@ -168,6 +168,7 @@ class Demonstration:
     ) -> None:
         self._robot = robot
         self._task_file = files.required("task")
+        self._motion = ("--robot", robot, self._task_file, "--start-time", START_TIME)
         self._pace = pace
         self._composed = composed
         self._view = view
@@ -187,9 +188,8 @@ class Demonstration:
         print("closed loop without ROS ...", flush=True)
         # A process of its own: while it compiles, numba would swallow Ctrl-C.
         with ProcessGroup(folder / "log") as group:
-            task = ("--robot", self._robot, self._task_file, "--start-time", START_TIME)
             group.start(
-                "closed_loop", executable("rx90 run", *task, "--output", baseline)
+                "closed_loop", executable("rx90 run", *self._motion, "--output", baseline)
             ).expect_success()
         factor = self._run_processes(folder, recorded)
         print("comparing the recorded run with the closed loop without ROS ...", flush=True)
@@ -231,8 +231,7 @@ class Demonstration:
             )
             if not self._composed:
                 group.start("controller", executable("rx90_controller", "--ros-args", *of_robot))
-            task = ("--robot", self._robot, self._task_file, "--start-time", START_TIME)
-            line = group.start("trajectory", executable("rx90 line", *task))
+            line = group.start("trajectory", executable("rx90 line", *self._motion))
             if self._view is not None:
                 about = ("--robot", self._robot, "--task", self._task_file)
                 _wait_for_page(group.start("view", executable("rx90 view", *about, *self._view)))

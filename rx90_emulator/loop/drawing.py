@@ -24,7 +24,7 @@ from rx90_common.base.errors import ConfigError, warn_caller
 from rx90_common.base.models import FileModel, Triple, quantity
 from rx90_common.base.quoting import counted, plain, quoted
 from rx90_common.base.text_lines import read_bytes, read_lines
-from rx90_common.description.rotations import length, rpy_rotation
+from rx90_common.description.rotations import angle_between, length, rpy_rotation
 from rx90_controller.lines.task import Angles, radians
 from rx90_controller.paths.curve import KINK, spline_through
 from rx90_controller.paths.path import Segment
@@ -170,7 +170,7 @@ class Drawing(FileModel):
         for one, piece, after in zip(segments[:-1], pieces[:-1], pieces[1:], strict=True):
             last = piece.at(np.array([piece.length]), 1)[0]
             first = after.at(np.zeros(1), 1)[0]
-            turn = math.atan2(float(np.linalg.norm(np.cross(last, first))), float(last @ first))
+            turn = float(angle_between(last, first))
             zone = (
                 min(self.zone, 0.5 * piece.length, 0.5 * after.length)
                 if KINK < turn < math.radians(168.0)
@@ -400,7 +400,7 @@ def _turns(curve: Any, before: float, end: float, begin: float, after: float) ->
     """Return whether a drawing's spline has a corner where its span up to `end` meets the one from `begin`."""
     last = np.array(curve.point(end) - curve.point(end - _SECANT * (end - before)))
     first = np.array(curve.point(begin + _SECANT * (after - begin)) - curve.point(begin))
-    return math.atan2(float(np.linalg.norm(np.cross(last, first))), float(last @ first)) > _CORNER
+    return float(angle_between(last, first)) > _CORNER
 
 
 def _points(curve: Any, at: Array, unit: float, corner: bool) -> tuple[Array, bool]:

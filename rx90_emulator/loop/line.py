@@ -12,7 +12,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.description.kinematics import Pose, forward, polyline_error, tip_position
 from rx90_common.description.robot import RobotModel
-from rx90_common.description.rotations import length, product, transposed
+from rx90_common.description.rotations import angle_between, length, product, transposed
 from rx90_controller.lines import plan as planning
 from rx90_controller.lines.plan import LinePlan
 from rx90_controller.lines.task import SETTLING, LineTask, TipTask
@@ -273,10 +273,7 @@ def followed_accuracy(
 def turned_by(robot: RobotModel, pose: Pose, asked: Pose) -> Array:
     """Return the angle between poses of the tool, rad, shape (n,); of an arm of five joints that of its axis."""
     if len(robot.joint_names) < 6:  # the arm turns its tool about the tool's axis as it likes
-        first = pose.rotation[..., 2]
-        second = asked.rotation[..., 2]
-        cosine = np.sum(first * second, axis=-1)
-        return np.asarray(np.arctan2(length(np.cross(first, second)), cosine))
+        return angle_between(pose.rotation[..., 2], asked.rotation[..., 2])
     turn = product(transposed(asked.rotation), pose.rotation)
     skew = 0.5 * np.stack(
         [turn[..., i, j] - turn[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1

@@ -113,13 +113,13 @@ class Catalogue:
             Key, tuple[Key, ...]
         ] = {}  # what a path names, each by its place in the models
         self._add(("arm", "seed"), setup.seed, "1")
-        self._add_model(("drives",), ("drives",), setup.drives)
-        self._add_model(("controller",), ("controller",), setup.controller)
+        self._add_model(("drives",), setup.drives)
+        self._add_model(("controller",), setup.controller)
         for field, unit in TASK_UNITS.items():
             if hasattr(task, field):
                 self._add(("task", field), getattr(task, field), unit)
         for name, element in zip(setup.friction.names, setup.friction.elements, strict=True):
-            self._add_model(("friction", name), ("friction", name), element)
+            self._add_model(("friction", name), element)
         for i, (field, unit) in itertools.product(
             range(len(setup.robot.joint_names)), ARM_UNITS.items()
         ):
@@ -130,32 +130,26 @@ class Catalogue:
         self._values[key] = value
         self._leaves[path or key] = (key,)
 
-    def _add_model(self, around: Key, path: Key, model: Model) -> None:
-        """Add all numbers and switches of a model, and of the models in it.
-
-        Args:
-            around: the place of the model.
-            path: that leads to it.
-            model: with the values.
-        """
+    def _add_model(self, around: Key, model: Model) -> None:
+        """Add all numbers and switches of a model, whose place is `around`, and of the models in it."""
         for name, value in model:
             key = (*around, name)
             if isinstance(value, BySign) and isinstance(value.positive, float):
                 unit = word_of(type(model), name, "unit")
-                self._add((*key, "positive"), value.positive, unit, (*path, f"{name}_positive"))
-                self._add((*key, "negative"), value.negative, unit, (*path, f"{name}_negative"))
-                self._leaves[(*path, name)] = ((*key, "positive"), (*key, "negative"))
+                self._add((*key, "positive"), value.positive, unit, (*around, f"{name}_positive"))
+                self._add((*key, "negative"), value.negative, unit, (*around, f"{name}_negative"))
+                self._leaves[key] = ((*key, "positive"), (*key, "negative"))
             elif isinstance(value, Model):
-                self._add_model(key, (*path, name), value)
+                self._add_model(key, value)
             elif isinstance(value, bool):
-                self._add(key, value, SWITCH, (*path, name))
+                self._add(key, value, SWITCH)
             elif (
                 value is not None
                 and np.size(value)
                 and (unit := word_of(type(model), name, "unit"))
             ):
                 short = word_of(type(model), name, "path")
-                self._add(key, value, unit, (path[0], short) if short else (*path, name))
+                self._add(key, value, unit, (around[0], short) if short else ())
 
     def value(self, leaf: Leaf) -> Value:
         """Return a value as the files have it."""
@@ -318,10 +312,9 @@ def _tree(values: Mapping[Leaf, Value]) -> dict[str, Any]:
 
 def _changed(setup: Setup, tree: Mapping[str, Any]) -> Setup:
     new: dict[str, Any] = {}
-    if "drives" in tree:
-        new["drives"] = _changed_model("drives", setup.drives, tree["drives"])
-    if "controller" in tree:
-        new["controller"] = _changed_model("controller", setup.controller, tree["controller"])
+    for name, model in (("drives", setup.drives), ("controller", setup.controller)):
+        if name in tree:
+            new[name] = _changed_model(name, model, tree[name])
     if "friction" in tree:
         elements = zip(setup.friction.names, setup.friction.elements, strict=True)
         changed = [

@@ -109,9 +109,7 @@ def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = Non
     )
 
 
-def replay(
-    setup: Setup, run: RecordedRun, *, substeps: int | None = None, record_fast: bool = False
-) -> RunResult:
+def replay(setup: Setup, run: RecordedRun, *, record_fast: bool = False) -> RunResult:
     """Do a recorded run again through the closed loop without ROS, with its seed.
 
     Raises:
@@ -123,12 +121,7 @@ def replay(
     if run.seed is not None:
         setup = replace(setup, seed=run.seed)
     return simulate_commands(
-        setup,
-        run.commands,
-        run.initial_position,
-        run.duration,
-        substeps=substeps,
-        record_fast=record_fast,
+        setup, run.commands, run.initial_position, run.duration, record_fast=record_fast
     )
 
 

@@ -76,7 +76,6 @@ class Setup(Arm):
         Raises:
             ConfigError: naming file, key, value and accepted range.
         """
-        check_seed(seed)  # before files are read
         files = files or RobotFiles()
         rates = rates or Rates()
         check_type(rates=(rates, Rates))
@@ -135,12 +134,7 @@ def load_setup(
     Raises:
         ConfigError: naming file, key, value and accepted range.
     """
-    names = {
-        "urdf": urdf,
-        "tool": tool,
-        "drives": drives,
-        "friction": friction,
-        "controller": controller,
-    }
-    given = {role: None if name is None else str(name) for role, name in names.items()}
-    return Setup.load(RobotFiles.named(None if robot is None else str(robot), **given), rates, seed)
+    files = RobotFiles.named(
+        robot, urdf=urdf, tool=tool, drives=drives, friction=friction, controller=controller
+    )
+    return Setup.load(files, rates, seed)

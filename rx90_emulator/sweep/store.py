@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.limits import DamagedError, check_whole
 from rx90_common.base.errors import SweepError, write_error
-from rx90_common.base.quoting import counted, listed
+from rx90_common.base.quoting import aligned, counted, listed
 from rx90_emulator.loop.parameters import SWITCH
 from rx90_emulator.sweep.sweep import RUN_COLUMNS, RunOutcome, Sweep
 
@@ -317,11 +317,10 @@ def _columns(table: pa.Table) -> list[str]:
     shown = [
         field for field in table.schema if field.metadata[b"kind"] in (b"parameter", b"metric")
     ]
-    width = max(len(field.name) for field in shown)
-    lines = [f"{'column':{width}}  {'unit':8}  {'min':>11}  {'median':>11}  {'max':>11}"]
+    rows = [["column", "unit", "min", "median", "max"]]
     for field in shown:
         values = pc.drop_null(pc.cast(table[field.name], pa.float64())).to_numpy()
-        ends = np.quantile(values, [0.0, 0.5, 1.0]) if len(values) else ()
-        text = "  ".join(f"{value:11.5g}" for value in ends)
-        lines.append(f"{field.name:{width}}  {field.metadata[b'unit'].decode():8}  {text}")
-    return lines
+        ends = np.quantile(values, [0.0, 0.5, 1.0]) if len(values) else [np.nan] * 3
+        unit = field.metadata[b"unit"].decode()
+        rows.append([field.name, unit, *(f"{value:.5g}" for value in ends)])
+    return aligned(rows, right=range(2, 5))

@@ -13,7 +13,7 @@ import threading
 import time
 import webbrowser
 from collections.abc import Callable
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from functools import partial
 
 import numpy as np
@@ -23,7 +23,6 @@ import viser
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 from rx90_common.description.robot import RobotModel
-from rx90_common.process.interrupts import deferred_interrupts
 from rx90_emulator.view import OPENED, TO_OTHERS
 
 _LONGEST_WAIT = 0.05  # s, without a look for Ctrl-C
@@ -154,34 +153,30 @@ class Page:
 
     def run(
         self,
+        check_interrupt: Callable[[], None],
         until: Callable[[], bool] = lambda: False,
-        check_interrupt: Callable[[], None] | None = None,
     ) -> None:
         """Run the parts until `until()` holds.
 
         Args:
+            check_interrupt: called between two calls; raises what has interrupted them.
             until: asked between two calls.
-            check_interrupt: likewise, of who holds interrupts back already; None: they are held back here.
-
-        Raises:
-            KeyboardInterrupt: on Ctrl-C, between two calls.
         """
-        with nullcontext(check_interrupt) if check_interrupt else deferred_interrupts() as check:
-            while not until():
-                check()
-                now = time.monotonic()
-                wait = _LONGEST_WAIT
-                if self._timed:
-                    due, _, period, function, busy = self._timed[0]
-                    wait = min(wait, max(0.0, due - now))
-                    if due <= now:
-                        due = max(due + period * (_BUSY_FACTOR if busy(now) else 1), now)
-                        heapq.heapreplace(
-                            self._timed, (due, next(self._numbers), period, function, busy)
-                        )
-                        self._call(partial(function, now))
-                with suppress(queue.Empty):
-                    self._call(self._handed_over.get(timeout=wait))
+        while not until():
+            check_interrupt()
+            now = time.monotonic()
+            wait = _LONGEST_WAIT
+            if self._timed:
+                due, _, period, function, busy = self._timed[0]
+                wait = min(wait, max(0.0, due - now))
+                if due <= now:
+                    due = max(due + period * (_BUSY_FACTOR if busy(now) else 1), now)
+                    heapq.heapreplace(
+                        self._timed, (due, next(self._numbers), period, function, busy)
+                    )
+                    self._call(partial(function, now))
+            with suppress(queue.Empty):
+                self._call(self._handed_over.get(timeout=wait))
 
     def _call(self, function: Callable[[], None]) -> None:
         """Call a part, whose changes the page shows together."""

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_emulator.vplus.task import Task
+from rx90_emulator.vplus.task import Task, configuration
 from rx90_emulator.vplus.transformations import frame, inverse, placed, trans
 from rx90_emulator.vplus.tree import Tree, entries
 from rx90_emulator.vplus.values import NUMBERS, Cell, Format, Joints, Value, VplusError
@@ -22,7 +22,7 @@ _SAME: Final = 1e-3  # mm, and 1e-3 of a turn's matrix
 _FORMAT: Final = re.compile(r"([DEFGHIO])(\d{0,3})(?:\.(\d{1,2}))?$")
 _CODES: Final = {"H": "X", "I": "d", "O": "o"}
 _NUMBER: Final = re.compile(
-    r"\s*(?:\^B([01]+)|\^O([0-7]+)|\^H([0-9A-F]+)|([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d\d?)?))"
+    r"\s*(?:\^B([01]+)|\^O([0-7]+)|\^H([0-9A-F]+)|([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?))"
 )
 _BASES: Final = (2, 8, 16)
 
@@ -114,13 +114,6 @@ def _in_range(task: Task, target: Array | Joints) -> int:
     except VplusError:
         return 1 << 13
     return sum(1 << joint for joint in task.arm.outside(q))
-
-
-def _configuration(task: Task) -> int:
-    """Return the present configuration as bits: 1 for LEFTY, 2 for BELOW, 4 for FLIP."""
-    posture = task.arm.posture(task.cell.drive.position())
-    lefty = posture.shoulder == "back"
-    return _bit_sum([lefty, (posture.elbow == "positive") == lefty, posture.wrist == "negative"])
 
 
 def _last(task: Task, array: Tree) -> int:
@@ -299,7 +292,9 @@ _STATE: Final[dict[str, Any]] = {
     "$TIME": lambda task, *_: time.strftime("%d-%b-%y %H:%M:%S", time.gmtime(task.cell.time)),
     "$ENCODE": lambda task, *items: written(task, items)[0],
     "INRANGE": _in_range,
-    "CONFIG": lambda task, _=None: _configuration(task),
+    "CONFIG": lambda task, _=None: _bit_sum(
+        configuration(task.arm.posture(task.cell.drive.position()))
+    ),
     "DEFINED": lambda task, variable: task.cell_of(variable).value is not None,
     "LAST": _last,
     "SIG": lambda task, *signals: all(map(task.cell.is_on, signals)),

@@ -20,19 +20,12 @@ _NULL_TIME: Final = 2.0  # s, until errors must be small
 _STRAIGHT: Final = ("MOVES", "MOVEST", "APPROS", "DEPARTS", "ALIGN")
 _HAND: Final = {"O": (3001, -3002), "C": (-3001, 3002), "R": (-3001, -3002)}
 """Signals of the hand: open, closed, relaxed."""
-_CONFIGURATIONS: Final = {
-    "LEFTY": {"shoulder": "back"},
-    "RIGHTY": {"shoulder": "front"},
-    "ABOVE": {"elbow": "above"},
-    "BELOW": {"elbow": "below"},
-    "FLIP": {"wrist": "negative"},
-    "NOFLIP": {"wrist": "positive"},
-}
+_CONFIGURATIONS: Final = ("RIGHTY", "LEFTY"), ("ABOVE", "BELOW"), ("NOFLIP", "FLIP")
 _SWITCHED: Final = {
-    "CPON": ("CP", 1.0),
-    "CPOFF": ("CP", 0.0),
-    "NULL": ("NULL", 1.0),
-    "NONULL": ("NULL", 0.0),
+    "CPON": {"CP": 1.0},
+    "CPOFF": {"CP": 0.0},
+    "NULL": {"NULL": 1.0},
+    "NONULL": {"NULL": 0.0},
 }
 _REFUSED: Final = """
 VPICTURE VLOCATE VFEATURE VSHOW VTRAIN VDISPLAY  vision is not emulated
@@ -51,9 +44,9 @@ DEVICE SETDEVICE DDCMP  no devices are emulated
 def _begin_for(
     task: Task, variable: Cell, first: float, limit: float, increment: float | None
 ) -> None:
-    loop = Loop(variable, limit, 1.0 if increment is None else increment)
-    if loop.increment == 0.0:
+    if increment == 0.0:
         raise VplusError("Illegal value", "STEP 0")
+    loop = Loop(variable, limit, increment or 1.0)
     task.frame.loops[task.step.start] = loop
     task.jump(not loop.begin_turn(first))
 
@@ -250,7 +243,7 @@ def _choose(task: Task, **values: float) -> None:
 
 
 def _switch_choice(task: Task) -> None:
-    _choose(task, **dict([_SWITCHED[task.step.word]]))
+    _choose(task, **_SWITCHED[task.step.word])
 
 
 def _set_tolerance(task: Task, percent: float = 100.0) -> None:
@@ -281,7 +274,9 @@ def _set_profile(task: Task, profile: float | None, *ramps: float | None) -> Non
 
 def _configure(task: Task) -> None:
     """Ask for a configuration at the next motion that is no line."""
-    task.wanted |= _CONFIGURATIONS[task.step.word]
+    for part, words in enumerate(_CONFIGURATIONS):
+        if task.step.word in words:
+            task.wanted[part] = task.step.word == words[1]
 
 
 # Signals and time.

@@ -256,7 +256,7 @@ def _point(monitor: Monitor, text: str) -> Dialogue:
     if cell.value is None:
         cell.store(Joints([0.0] * 6) if name[0] == "#" else np.eye(4))
     while True:
-        place = monitor.task.taken("location", cell.value)  # type: ignore[arg-type]
+        place = monitor.task.taken("location", cell.value)  # type: ignore[arg-type]  # a value is a tree of its own
         yield _COLUMNS
         yield _text(place)
         answer = yield Ask("Change? ")

@@ -13,7 +13,7 @@ from lark.exceptions import LarkError, UnexpectedInput
 
 from rx90_common.base.errors import ConfigError, warn_caller
 from rx90_common.base.quoting import plain, quoted
-from rx90_emulator.vplus.functions import FUNCTIONS
+from rx90_emulator.vplus.functions import FUNCTIONS, number_of
 from rx90_emulator.vplus.instructions import INSTRUCTIONS, REFUSED
 from rx90_emulator.vplus.transformations import trans
 from rx90_emulator.vplus.tree import (
@@ -40,7 +40,6 @@ _LONGEST_LINE: Final = 255
 _LARGEST_LABEL: Final = 65535
 _LARGEST_FILE: Final = 20_000_000
 _LOCATION: Final = 6
-_BASES: Final = {"B": 2, "O": 8, "H": 16}
 _RESERVED: Final = "TO BY OF STEP THEN DO AND OR XOR NOT MOD COM ALWAYS LAST POS DX DY DZ BELOW"
 _DECLARATIONS: Final = ("AUTO", "LOCAL", "GLOBAL")
 _LOOPS: Final = ("FOR", "WHILE", "DO")
@@ -81,11 +80,7 @@ class _Builder(Transformer[Any]):
     """Makes the trees, rule by rule of the grammar."""
 
     def number(self, token: str) -> Any:
-        if token[0] == "'":
-            return float(ord(token[1]))
-        if token[0] == "^":
-            return float(int(token[2:], _BASES[token[1].upper()]))
-        return bounded(float(token))
+        return bounded(ord(token[1]) if token[0] == "'" else number_of(token))
 
     def integer(self, token: str) -> float:
         return float(token)
@@ -151,8 +146,11 @@ class _Builder(Transformer[Any]):
             step = _step(str(step.data).strip("_"), *parts)
         return int(label[:9]) if label else -1, step or Step()
 
-    def header(self, name: str, parameters: Any) -> Program:
-        names = tuple(parameter.name for parameter in parameters or ())
+    def place(self, name: str, index: Any) -> Reference:
+        return Reference(plain_name(name), index)
+
+    def header(self, name: str, *parameters: Reference | None) -> Program:
+        names = tuple(parameter.name for parameter in parameters if parameter is not None)
         return Program(plain_name(name), names, automatic=set(names))
 
     def datum(self, place: Reference, *parts: Any) -> tuple[Reference, Any]:

@@ -117,7 +117,7 @@ class Task:
             ramps, for all motions.
         next: likewise, for the next motion alone.
         at_start: what the next motion does when it begins.
-        wanted: of LEFTY, ABOVE, FLIP and their opposites the newest ones, by their part.
+        wanted: of whether LEFTY, BELOW and FLIP, what was asked for, by their places among these.
         switches: system switches that are on.
         tool: from the flange.
         base: where the robot stands.
@@ -142,7 +142,7 @@ class Task:
         self.always = {**OF_EXECUTE, "UP": 100.0, "DOWN": 100.0, "SMOOTH": 0.0}
         self.next: dict[str, float] = {}
         self.at_start: list[Callable[[], None]] = []
-        self.wanted: dict[str, str] = {}
+        self.wanted: dict[int, bool] = {}
         self.switches = {"POWER", "CP", "ROBOT", "MESSAGES", "SCALE.ACCEL", "UPPER"}
         self.tool = np.eye(4)
         self.base = np.eye(4)
@@ -387,12 +387,14 @@ class Task:
         Raises:
             VplusError: if there are none.
         """
-        present = self.arm.posture(self.queue.destination)
-        wanted = {} if keep else self.wanted
-        shoulder = wanted.get("shoulder", present.shoulder)
-        above = wanted.get("elbow", "above" if _is_above(present) else "below")
-        elbow = "positive" if (above == "above") == (shoulder == "front") else "negative"
-        posture = Branch(shoulder, elbow, wanted.get("wrist", present.wrist))
+        parts = configuration(self.arm.posture(self.queue.destination))
+        if not keep:
+            parts = [self.wanted.get(part, present) for part, present in enumerate(parts)]
+        posture = Branch(
+            "back" if parts[0] else "front",
+            "positive" if parts[0] == parts[1] else "negative",
+            "negative" if parts[2] else "positive",
+        )
         flange = inverse(self._stand) @ place @ inverse(self.tool)
         return self.arm.solve_target(flange, posture, self.queue.destination)
 
@@ -401,5 +403,7 @@ def _is_given(tree: Tree) -> bool:
     return tree is not None
 
 
-def _is_above(posture: Branch) -> bool:
-    return (posture.elbow == "positive") == (posture.shoulder == "front")
+def configuration(posture: Branch) -> list[bool]:
+    """Return whether a configuration is LEFTY, BELOW and FLIP."""
+    lefty = posture.shoulder == "back"
+    return [lefty, (posture.elbow == "positive") == lefty, posture.wrist == "negative"]

@@ -84,10 +84,8 @@ class HeldCommand:
 
     def wait_for(self, timeout: float) -> None:
         """Wait so long for a command, s, from the next tick on; callable from every thread."""
-        self._timeout, self._oldest = (
-            timeout,
-            max(MAX_AGE, round(timeout * NANOSECONDS / self._period_ns)),
-        )
+        self._timeout = timeout
+        self._oldest = max(MAX_AGE, round(timeout * NANOSECONDS / self._period_ns))
         self._most_age = MAX_AGE
 
     def forget(self) -> None:

@@ -79,8 +79,6 @@ class EffortController:
     ):
         self._controller = controller
         self._names = names
-        self._received: list[str] = []
-        self._order = np.arange(len(names))
         self.time: float | None = None
         self._commands = node.create_publisher(JointState, JOINT_COMMANDS, _DEPTH)
         self._states = node.create_subscription(
@@ -88,18 +86,16 @@ class EffortController:
         )
 
     def _answer(self, states: Any) -> None:
-        if states.name != self._received:
-            if sorted(states.name) != sorted(self._names):
-                found = ", ".join(states.name)
-                raise ExchangeError(
-                    f"{self._states.topic_name} has {found}; accepted: {', '.join(self._names)}"
-                )
-            self._received = list(states.name)
-            self._order = np.array([self._received.index(name) for name in self._names])
+        if sorted(states.name) != sorted(self._names):
+            received = ", ".join(states.name)
+            raise ExchangeError(
+                f"{self._states.topic_name} has {received}; accepted: {', '.join(self._names)}"
+            )
+        order = [states.name.index(name) for name in self._names]
         stamp = states.header.stamp
         self.time = stamp.sec + stamp.nanosec * 1e-9
-        position = np.array(states.position)[self._order]
-        velocity = np.array(states.velocity)[self._order]
+        position = np.array(states.position)[order]
+        velocity = np.array(states.velocity)[order]
         effort = self._controller(position, velocity, self.time)
         command = JointState(name=self._names)
         command.header.stamp = stamp

@@ -8,30 +8,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from joint_moves import HOME, NAMES, PERIOD, ZERO, within_limits
+from joint_moves import HOME, NAMES, PERIOD, ZERO, points, within_limits
 from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
-from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
+from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
 
 MOST = np.array([18.0, 12.0, 12.0, 40.0, 40.0, 60.0])
 LIMITS = JointLimits(NAMES, np.full(6, -3.0), np.full(6, 3.0), np.full(6, 4.0), MOST, 1e-3)
-
-
-def points(
-    times: Sequence[float],
-    position: Sequence[Array],
-    velocity: Sequence[Array] | None = None,
-    names: Sequence[str] = NAMES,
-    *,
-    moving_end: bool = False,
-) -> TrajectoryPoints:
-    """Return checked points of some joints or all."""
-    none: list[list[float]] = [[]] * len(times)
-    return TrajectoryPoints.create(
-        NAMES, names, times, position, velocity or none, none, partial=True, moving_end=moving_end
-    )
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from full_friction import TEMPERATURE
 from numpy.typing import NDArray
 from own_model import by_model, with_friction
 from scipy.integrate import solve_ivp
@@ -22,7 +23,6 @@ from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
-from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_common.rigid_torque import rigid_torque
 from rx90_controller.law.cs7b import CS7B, law_reset, law_state_dtype, position_loop
 from rx90_controller.law.model import ArmModel
@@ -184,19 +184,7 @@ def test_integrators_hand_over_no_more_than_they_may_hold(shipped: Setup) -> Non
 
 HERE = np.array([0.3, -0.4, 1.5, 0.4, 0.8, -0.5])
 VELOCITY = np.array([0.05, -0.04, 0.06, -0.05, 0.07, 0.03])
-WARM = TemperaturePart(
-    reference=40.0,
-    lowest=15.0,
-    highest=90.0,
-    start=22.0,
-    ambient=21.0,
-    capacity=1e9,
-    resistance=0.4,
-    viscous_scale=20.7,
-    viscous_floor=0.4,
-    speed_slope=0.01,
-    static_slope=0.02,
-)
+WARM = TEMPERATURE.replaced(start=22.0, ambient=21.0, capacity=1e9, resistance=0.4)
 
 
 def parted(setup: Setup, path: Path, **parts: Any) -> tuple[CS7B, tuple[FrictionElement, ...]]:
@@ -240,11 +228,11 @@ def test_load_ripple_and_temperature_are_those_of_the_set_point(shipped: Setup, 
         cooler = WARM.start - WARM.reference
         wave = 1.0 + 0.2 * math.cos(3.0 * q + 0.4)
         coulomb, static = element.parameters[f"tau_c_{sign}"], element.parameters[f"tau_s_{sign}"]
-        static = wave * (coulomb + (static - coulomb) * (1.0 + 0.02 * cooler))
+        static = wave * (coulomb + (static - coulomb) * (1.0 + WARM.static_slope * cooler))
         share = load.driving if driving else load.driven
         rise = static - wave * coulomb + abs(size) * (load.stribeck_driving if driving else load.stribeck_driven)
-        stribeck = math.exp(-((abs(v) / (element.omega_s * (1.0 + 0.01 * cooler))) ** element.delta))
-        viscous = element.c2 * (0.4 + 0.6 * math.exp(-cooler / 20.7)) * v
+        stribeck = math.exp(-((abs(v) / (element.omega_s * (1.0 + WARM.speed_slope * cooler))) ** element.delta))
+        viscous = element.c2 * (0.3 + 0.7 * math.exp(-cooler / WARM.viscous_scale)) * v
         want.append(math.copysign(wave * coulomb + share * abs(size) + rise * stribeck, v) + viscous)
     assert got == pytest.approx(INPUTS.T @ np.array(want), rel=2e-3)
     assert np.abs(transmitted).max() > 20.0
@@ -280,7 +268,7 @@ def test_the_model_warms_by_its_friction_and_its_motors(shipped: Setup, tmp_path
     dry = np.array([element.sliding_torque(v) for element, v in zip(elements, speed, strict=True)]) * np.sign(speed)
 
     def rates(t: float, warm: Array) -> Array:
-        torque = dry + viscous * (0.4 + 0.6 * np.exp(-(warm - part.reference) / part.viscous_scale))
+        torque = dry + viscous * (0.3 + 0.7 * np.exp(-(warm - part.reference) / part.viscous_scale))
         there = HERE + (t - 0.5) * velocity
         joints = rigid_torque(
             setup.robot.model, drives.rotor_matrix, drives.spring_torque, there[None], velocity[None], np.zeros((1, 6))

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from elastic_arms import SOFT, elastic
+from full_friction import TEMPERATURE
 
 from benchmarks.friction_parts import POSE, STEPS, THROUGH, convergence, loaded, snapshot, with_elements
 from rx90_common.base.arrays import Array
@@ -88,19 +89,7 @@ def test_the_walk_of_the_scatter_goes_on_by_ticks(shipped: Setup) -> None:
 
 def test_a_reset_begins_again_to_the_last_bit(arm: Setup) -> None:
     """With all parts the ticks after a reset are those after the first one; another seed's are not."""
-    warm = TemperaturePart(
-        reference=40.0,
-        lowest=20.0,
-        highest=90.0,
-        start=30.0,
-        ambient=25.0,
-        capacity=0.05,
-        resistance=10.0,
-        viscous_scale=20.0,
-        viscous_floor=0.3,
-        speed_slope=0.02,
-        static_slope=0.01,
-    )
+    warm = TEMPERATURE.replaced(capacity=0.05)
     setup = with_elements(arm, scatter=ScatterPart(deviation=0.05, correlation_time=0.02), temperature=warm)
 
     def ticks(plant: Plant) -> Array:
@@ -120,20 +109,7 @@ def test_a_reset_begins_again_to_the_last_bit(arm: Setup) -> None:
     assert not np.array_equal(ticks(dataclasses.replace(setup, seed=1).plant()), first)
 
 
-PART = TemperaturePart(
-    reference=40.0,
-    lowest=20.0,
-    highest=80.0,
-    start=30.0,
-    ambient=25.0,
-    capacity=0.5,
-    resistance=2.0,
-    viscous_scale=20.0,
-    viscous_floor=0.3,
-    speed_slope=0.02,
-    static_slope=0.01,
-    motor_share=0.4,
-)
+PART = TEMPERATURE.replaced(highest=80.0, resistance=2.0, motor_share=0.4)
 TORQUE = np.array([0.1, -0.2, 0.15, 0.05, 0.04, 0.06])
 """At which the brakes, and friction, hold the joints, motor side, Nm."""
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from elastic_arms import INPUTS, SOFT, elastic, link_mass
+from full_friction import TEMPERATURE
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -18,7 +19,6 @@ from benchmarks.accuracy import scaled, sticking, with_rotors
 from rx90_common.base.errors import ConfigError
 from rx90_common.friction import FrictionSet
 from rx90_common.friction.parts.bristles import ElastoPlastic
-from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_emulator.loop.parameters import parameters, with_parameters
 from rx90_emulator.loop.setup import Setup
 
@@ -166,16 +166,7 @@ def test_parts_count_where_they_stiffen(shipped: Setup) -> None:
         elements = tuple(e.replaced(c0=50.0 * e.c0, bristles=part) for e in shipped.friction.elements)
         setup = replace(shipped, friction=FrictionSet(shipped.friction.names, elements))
         assert setup.plant().substeps == scaled(shipped, c0=50.0).plant().substeps
-    cold = TemperaturePart(
-        reference=60.0,
-        lowest=-20.0,
-        highest=80.0,
-        start=-20.0,
-        ambient=20.0,
-        capacity=9000.0,
-        resistance=0.4,
-        viscous_scale=10.0,
-    )
+    cold = TEMPERATURE.replaced(lowest=-20.0, start=-20.0, viscous_scale=7.0, speed_slope=0.0, static_slope=0.0)
     elements = tuple(e.replaced(temperature=cold) for e in shipped.friction.elements)
     with pytest.raises(ConfigError, match=r"c2 is .* at its steepest"):
         replace(shipped, friction=FrictionSet(shipped.friction.names, elements)).plant(1)

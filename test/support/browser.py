@@ -160,7 +160,7 @@ def open_page(chromium: Any) -> Iterator[Callable[..., BrowserPage]]:
 def served(page: Any) -> Iterator[Any]:
     """Run a `rx90_emulator.view.page.Page` on a thread of its own within the block, and close it afterwards."""
     ended = threading.Event()
-    thread = threading.Thread(target=page.run, args=(ended.is_set,), daemon=True)
+    thread = threading.Thread(target=page.run, args=(lambda: None, ended.is_set), daemon=True)
     thread.start()
     try:
         yield page

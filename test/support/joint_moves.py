@@ -32,11 +32,17 @@ def within_limits(setpoints: Array, acceleration: Array) -> None:
 
 
 def points(
-    times: Sequence[float], position: Sequence[Array], velocity: Sequence[Array] | None = None
+    times: Sequence[float],
+    position: Sequence[Array],
+    velocity: Sequence[Array] | None = None,
+    names: Sequence[str] = NAMES,
+    *,
+    moving_end: bool = False,
 ) -> TrajectoryPoints:
-    """Return checked points in the robot's joint order."""
+    """Return checked points of all joints or some."""
     none: list[list[float]] = [[]] * len(times)
-    return TrajectoryPoints.create(NAMES, NAMES, times, position, none if velocity is None else velocity, none)
+    velocities = none if velocity is None else velocity
+    return TrajectoryPoints.create(NAMES, names, times, position, velocities, none, partial=True, moving_end=moving_end)
 
 
 def move(to: float, seconds: float) -> TrajectoryPoints:

@@ -64,7 +64,7 @@ def run_on_nodes(
         names = setup.robot.joint_names
         set_points = trajectory.set_points(names)
         follow = partial(follow_trajectory, client, trajectory, names, set_points)
-        motion = Motion(np.asarray(set_points.position))
+        motion = Motion(set_points.position)
         start = plan[0].points.position[0]
         if np.abs(start - motion.pose).max() > setup.controller.trajectory.start_tolerance:
             motion.move(start, setup.robot.max_velocity * _APPROACH_SPEED, _APPROACH_ACCELERATION)
@@ -125,7 +125,6 @@ def follow_trajectory(
     """Send a trajectory, wait until the controller's set-points are at its end, and return when it ended, s."""
     for _ in range(3):  # messages that arrived while the recorder started
         client.spin()
-    assert set_points.position is not None
     run = FollowedTrajectory(points, set_points.position, client.timeout)
     trajectory.send(names, points, correction=correction)
     while not run.done:

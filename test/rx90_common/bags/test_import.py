@@ -27,12 +27,10 @@ header: 0
 names: [a, b]
 position: {columns: [2, 3], unit: rad}
 """
-NAMED = "time: {column: t, unit: s}\nnames: [a]\nposition: {columns: [q], unit: rad}\n"
 EXPORTED = PLAIN.replace("header: 0", "header: 1")
 SEMICOLON = 'delimiter: ";"\n'
 COMMA = SEMICOLON + 'decimal: ","\n'
 BLANKS = "delimiter: space\n"
-MAY = int(datetime(2024, 5, 1, 12, tzinfo=timezone.utc).timestamp()) * 10**9
 
 
 def write(path: Path, text: str, encoding: str = "utf-8") -> Path:
@@ -103,10 +101,10 @@ def test_units_become_si(
     tmp_path: Path, field: str, unit: str, values: tuple[float, float], expected: tuple[float, float]
 ) -> None:
     """Angles, turns and currents are what they are in rad, rad/s, Nm and A, times a factor of each joint."""
-    mapping = f"rate: 4\nnames: [a, b]\n{field}: {{columns: [y, x], {unit}}}\n"
+    mapping = f"rate: 1.5\nnames: [a, b]\n{field}: {{columns: [y, x], {unit}}}\n"
     found = imported(tmp_path, mapping, f"# x,y\n{values[1]},{values[0]}\n{values[1]},{values[0]}\n")
     assert getattr(found, field)[1] == pytest.approx(expected, rel=1e-14)
-    assert found.stamp_ns.tolist() == [0, 250_000_000]
+    assert found.stamp_ns.tolist() == [0, 666_666_667]  # the nearest ns
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("s", 9), ("ms", 6), ("us", 3), ("ns", 0)])
@@ -117,40 +115,16 @@ def test_stamps_of_the_wall_clock_are_exact(tmp_path: Path, unit: str, scale: in
     assert imported(tmp_path, PLAIN.replace("unit: s", f"unit: {unit}"), log).stamp_ns.tolist() == stamps
 
 
-def test_rows_of_a_rate_lie_at_the_nearest_ns(tmp_path: Path) -> None:
-    """Without a column of times rows are numbered by the rate; one column may stand for two quantities of two units."""
-    mapping = PLAIN.replace("time: {column: 1, unit: s}", "rate: 3").replace("unit: rad", "unit: deg")
-    found = imported(tmp_path, mapping + "effort: {columns: [3, 2], unit: mA, factor: [1, -2]}\n", rows(","))
-    assert found.stamp_ns.tolist() == [0, 333_333_333, 666_666_667]
-    np.testing.assert_allclose(found.position, np.deg2rad(POSITION), rtol=1e-14)
-    np.testing.assert_allclose(found.effort, POSITION[:, ::-1] * [1e-3, -2e-3], rtol=1e-14)
-
-
 @pytest.mark.parametrize("zone", ["", "Z", "+02:00"])
-@pytest.mark.parametrize("between", ["T", " "])
-def test_times_of_iso_8601_are_exact(tmp_path: Path, zone: str, between: str) -> None:
-    """Dates with a time of day are read to the ns, with or without a zone; UTC without one."""
-    text = "\n".join(f"2024-05-01{between}12:00:0{k}.123456789{zone},{k},{k}" for k in range(3))
+@pytest.mark.parametrize(("between", "point"), [("T", "."), (" ", "."), (" ", ",")])
+def test_times_of_iso_8601_are_exact(tmp_path: Path, zone: str, between: str, point: str) -> None:
+    """Dates with a time of day are read to the ns, with or without a zone, also with a decimal comma; UTC without."""
+    text = "\n".join(f"2024-05-01{between}12:00:0{k}{point}123456789{zone};{k};0{point}5" for k in range(3))
     hour = 12 - 2 * (zone == "+02:00")
     begin = int(datetime(2024, 5, 1, hour, tzinfo=timezone.utc).timestamp()) * 10**9 + 123_456_789
-    assert imported(tmp_path, PLAIN, text).stamp_ns.tolist() == [begin + k * 10**9 for k in range(3)]
-
-
-@pytest.mark.parametrize(
-    ("log", "dialect", "stamps", "positions"),
-    [
-        ("t;q\n0;0,000000\n1;0,001000\n", COMMA, [0, 10**9], [0.0, 1e-3]),
-        ("t,q,\n0,0.5,\n1,0.25,\n", "", [0, 10**9], [0.5, 0.25]),
-        ("t;q\n2024-05-01 12:00:00,000;0,0\n2024-05-01 12:00:00,100;0,25\n", COMMA, [MAY, MAY + 10**8], [0.0, 0.25]),
-    ],
-)
-def test_named_columns_of_usual_programs_are_read(
-    tmp_path: Path, log: str, dialect: str, stamps: list[int], positions: list[float]
-) -> None:
-    """Whole numbers beside decimals; rows that end in a delimiter; times with a blank and a decimal comma."""
-    found = imported(tmp_path, NAMED + dialect, log)
-    assert found.stamp_ns.tolist() == stamps
-    assert found.position[:, 0].tolist() == positions  # type: ignore[index]
+    found = imported(tmp_path, PLAIN + SEMICOLON + f'decimal: "{point}"\n', text)
+    assert found.stamp_ns.tolist() == [begin + k * 10**9 for k in range(3)]
+    assert np.array_equal(found.position, [[0.0, 0.5], [1.0, 0.5], [2.0, 0.5]])
 
 
 HEADED = ("header: 0", "header: 1")
@@ -227,11 +201,11 @@ def test_corrupt_rows_are_refused_or_left_out_and_said(tmp_path: Path, capsys: p
 
 
 def test_a_table_may_hold_several_topics(tmp_path: Path) -> None:
-    """Each topic has names and columns of its own; the times are common."""
+    """Each topic has names and columns of its own, or the same with another unit; the times are common."""
     topics = "topics: {joint_states: {names: [a], position: {columns: [q], unit: deg}}, \
-motor_states: {names: [m], effort: {columns: [i], unit: A}}}"
+motor_states: {names: [m], effort: {columns: [q], unit: A}}}"
     mapping = LogMapping.load(write(tmp_path / "map.yaml", "time: {column: t, unit: ms}\n" + topics))
-    joints, motors = read_log(write(tmp_path / "log.csv", "t,q,i\n1,180,5\n3,90,6\n"), mapping).series
+    joints, motors = read_log(write(tmp_path / "log.csv", "t,q\n1,180\n3,90\n"), mapping).series
     assert (joints.topic, joints.names, motors.topic, motors.names) == (
         "/joint_states",
         ("a",),
@@ -241,7 +215,7 @@ motor_states: {names: [m], effort: {columns: [i], unit: A}}}"
     assert joints.position is not None
     assert motors.effort is not None
     assert joints.position[:, 0] == pytest.approx([np.pi, np.pi / 2])
-    assert motors.effort[:, 0].tolist() == [5.0, 6.0]
+    assert motors.effort[:, 0].tolist() == [180.0, 90.0]
     assert motors.stamp_ns.tolist() == [1_000_000, 3_000_000]
 
 

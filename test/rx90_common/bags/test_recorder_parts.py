@@ -89,34 +89,27 @@ def count(counter: SequenceCounter, *numbers: int) -> SequenceCounter:
 @given(st.sets(st.integers(1, 300), min_size=1))
 def test_single_writer_is_counted_exactly(numbers: set[int]) -> None:
     """Of one writer every number missing between its first and last message is counted as lost."""
-    counter = count(SequenceCounter(lambda: 1, transient_local=False), *sorted(numbers))
+    counter = SequenceCounter(lambda: 1, transient_local=False)
+    counter.add(np.array(sorted(numbers)))
     assert received(counter) == len(numbers)
     assert lost(counter) == max(numbers) - min(numbers) + 1 - len(numbers)
     assert len(counter.writers) == 1
 
 
-@given(st.lists(st.lists(st.integers(1, 30), min_size=1, max_size=8)), st.booleans())
-def test_batches_count_as_messages_do(batches: list[list[int]], runs: bool) -> None:
-    """Numbers counted in batches, in runs without a gap or in any order, give the totals of one after the other."""
-    whole, single = (SequenceCounter(lambda: 2, transient_local=False) for _ in range(2))
-    for batch in batches:
-        numbers = list(range(batch[0], batch[0] + len(batch))) if runs and batch else batch
-        whole.add(np.array(numbers, dtype=np.int64))
-        count(single, *numbers)
-    assert (received(whole), lost(whole), len(whole.writers)) == (received(single), lost(single), len(single.writers))
-
-
-@given(st.lists(st.integers(1, 40), min_size=1, max_size=4), st.randoms(use_true_random=False))
-def test_interleaved_writers_lose_nothing(counts: list[int], random: Any) -> None:
-    """Several complete writers, in any interleaving of their messages, count as no loss and as that many."""
+@given(st.lists(st.integers(1, 40), min_size=1, max_size=4), st.randoms(use_true_random=False), st.integers(1, 9))
+def test_interleaved_writers_lose_nothing(counts: list[int], random: Any, batches: int) -> None:
+    """Several complete writers, in any interleaving and any batches of messages, count as no loss and as that many."""
     counter = SequenceCounter(lambda: len(counts), transient_local=False)
     counter.start()
     numbers = [0] * len(counts)
     order = [writer for writer, number in enumerate(counts) for _ in range(number)]
     random.shuffle(order)
+    sent = []
     for writer in order:
         numbers[writer] += 1
-        count(counter, numbers[writer])
+        sent.append(numbers[writer])
+    for batch in np.array_split(sent, min(batches, len(sent))):
+        counter.add(batch)
     assert lost(counter) == 0
     assert sorted(writer.received for writer in counter.writers) == sorted(counts)
 

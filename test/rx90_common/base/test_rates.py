@@ -5,24 +5,13 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Literal
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import NANOSECONDS, Rates, message_time_ns, ticks_per
-from rx90_common.exchange.cdr_stamps import LITTLE_ENDIAN, cdr_stamp_ns, cdr_stamps_ns
-
-
-@pytest.mark.parametrize(("base", "position"), [(4000, 1000), (8000, 500), (1, 1), (10000, 10000)])
-def test_periods_and_ratio_fit_together(base: int, position: int) -> None:
-    """The tick is a whole number of nanoseconds and the ratio of the loops a whole number of ticks."""
-    rates = Rates(base, position)
-    assert rates.ratio * position == base
-    assert rates.period_ns * base == NANOSECONDS
-    assert rates.period == 1 / base
-    assert rates.position_period == 1 / position
+from rx90_common.exchange.cdr_stamps import LITTLE_ENDIAN, cdr_stamp_ns
 
 
 def test_rates_that_do_not_divide_are_refused() -> None:
@@ -55,10 +44,3 @@ def test_a_stamp_is_read_in_both_byte_orders(stamp: int, order: Literal["little"
     assert cdr_stamp_ns(message(stamp, order)) == stamp
     assert message_time_ns(SimpleNamespace(sec=seconds, nanosec=nanoseconds)) == stamp
     assert cdr_stamp_ns(message(stamp, order)[:11]) == -1
-
-
-@given(st.lists(st.integers(-LAST, LAST), min_size=1))
-def test_many_stamps_are_those_one_by_one(stamps: list[int]) -> None:
-    """The stamps of a block of messages are those of each."""
-    block = np.frombuffer(b"".join(message(stamp) for stamp in stamps), dtype=np.uint8).reshape(len(stamps), -1)
-    assert cdr_stamps_ns(block).tolist() == stamps

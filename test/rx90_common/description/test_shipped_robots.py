@@ -100,16 +100,6 @@ def test_angle_map_to_the_published_convention(shipped_files: RobotFiles) -> Non
     np.testing.assert_allclose(offsets[0][:, 2], [0, 0, 1], atol=1e-14)
 
 
-def test_a_missing_mesh_does_not_matter(shipped_files: RobotFiles, tmp_path: Path) -> None:
-    """A URDF whose mesh file is not there loads: looks are not needed to move."""
-    text = shipped_files.urdf.read_text(encoding="utf-8")
-    box = '<box size="0.060 0.120 0.090"/>'
-    assert box in text
-    file = tmp_path / "meshes.urdf"
-    file.write_text(text.replace(box, '<mesh filename="package://nowhere/base.stl"/>'), encoding="utf-8")
-    np.testing.assert_array_equal(load_robot(file).chain.mass, load_robot(shipped_files.urdf).chain.mass)
-
-
 # BIRDy's TX40.m: modified Denavit-Hartenberg parameters, masses, first moments, and inertias Ixx, Ixy, Ixz, Iyy, Iyz,
 # Izz about the origin of each link's frame.
 THETA = (0.0, -math.pi / 2, math.pi / 2, 0.0, 0.0, math.pi)

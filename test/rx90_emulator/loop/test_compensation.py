@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
+import full_friction
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -15,9 +16,6 @@ from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
-from rx90_common.friction.parts.load import LoadPart
-from rx90_common.friction.parts.ripple import RipplePart
-from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_common.rigid_torque import rigid_torque
 from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints
@@ -29,25 +27,7 @@ from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 HOME = np.array([0.1, 0.5, 1.2, 0.2, 0.9, 0.3])
-PARTS = {
-    "load": LoadPart(driving=0.05, driven=0.08),
-    "temperature": TemperaturePart(
-        reference=40.0,
-        lowest=15.0,
-        highest=90.0,
-        start=20.0,
-        ambient=20.0,
-        capacity=9000.0,
-        resistance=0.4,
-        viscous_scale=20.7,
-        viscous_floor=0.4,
-        speed_slope=0.02,
-        static_slope=0.02,
-    ),
-    "ripple": RipplePart(
-        joint_harmonic=(1.0,), joint_amplitude=(0.05,), joint_phase=(), motor_harmonic=(2.0,), motor_amplitude=(0.06,)
-    ),
-}
+PARTS = {name: part for name, part in full_friction.PARTS.items() if name != "scatter"}
 BRISTLES: dict[str, Callable[[FrictionElement], BristlesPart]] = {
     "elasto_plastic": lambda _: ElastoPlastic(break_away=0.7),
     "maxwell_slip": lambda element: MaxwellSlip(

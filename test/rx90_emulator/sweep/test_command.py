@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from processes import Start
+from processes import Start, wait_until
 
 from rx90_common.process.children import TIMEOUT, executable
 from rx90_emulator.cli.frame import run
@@ -37,15 +34,6 @@ def plan_file(tmp_path: Path, task_file: Path, sweep: Sweep) -> Path:
     file = tmp_path / "plan.yaml"
     file.write_text(ENDLESS.format(task=task_file), encoding="utf-8")
     return file
-
-
-def until(condition: Callable[[], object], process: subprocess.Popen[str] | None = None) -> None:
-    """Wait until a condition holds; fail if it does not within TIMEOUT, or the process ends before."""
-    deadline = time.monotonic() + TIMEOUT
-    while not condition():
-        assert time.monotonic() < deadline
-        assert process is None or process.poll() is None, process.communicate()
-        time.sleep(0.01)
 
 
 def parts(output: Path) -> list[Path]:
@@ -78,7 +66,7 @@ def test_interrupt_and_kill_keep_what_is_done(
     output = tmp_path / "out.parquet"
     command = executable("rx90 sweep", "run", plan_file, "--output", output, "--workers", "2")
     first = start_apart(*command, cwd=ROOT)
-    until(lambda: parts(output), first)
+    wait_until(lambda: bool(parts(output)), "the first part")
     os.killpg(first.pid, signal.SIGINT)
     _, error = first.communicate(timeout=TIMEOUT)
     assert first.returncode == 130
@@ -91,14 +79,14 @@ def test_interrupt_and_kill_keep_what_is_done(
 
     request.getfixturevalue("warm")  # how it starts has been seen
     second = start_apart(*command, "--resume", cwd=ROOT)
-    until(lambda: parts(output), second)
+    wait_until(lambda: bool(parts(output)), "its first part")
     workers = [
         int(pid) for pid in Path(f"/proc/{second.pid}/task/{second.pid}/children").read_text(encoding="utf-8").split()
     ]
     second.send_signal(signal.SIGKILL)
     second.wait(timeout=TIMEOUT)
     assert len(workers) == 2
-    until(lambda: not any(alive(pid) for pid in workers))
+    wait_until(lambda: not any(alive(pid) for pid in workers), "the end of the workers")
     assert assert_true_rows(output, plan_file) > kept
 
 

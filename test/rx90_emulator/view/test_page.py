@@ -151,7 +151,7 @@ def test_a_signal_that_is_handled_beyond_the_wait_does_not_stop_the_page(idle: P
     before = signal.signal(signal.SIGALRM, handle)
     try:
         signal.setitimer(signal.ITIMER_REAL, 0.02)
-        idle.run(until=lambda: bool(handled) and time.monotonic() > handled[0] + 0.5)
+        idle.run(lambda: None, until=lambda: bool(handled) and time.monotonic() > handled[0] + 0.5)
     finally:
         signal.signal(signal.SIGALRM, before)
         rescue.cancel()
@@ -169,5 +169,5 @@ def test_a_page_outlives_viser_meeting_itself(idle: Page) -> None:
     for error in ("deque mutated during iteration", "something else"):
         idle.later(partial(call, error))
     with pytest.raises(RuntimeError, match="something else"):
-        idle.run(until=lambda: len(calls) > 2)
+        idle.run(lambda: None, until=lambda: len(calls) > 2)
     assert len(calls) == 2

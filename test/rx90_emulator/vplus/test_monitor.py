@@ -65,6 +65,8 @@ NUMBER = r"\s+-?\d+\.\d{3}"
         (["HERE o"], rf"HERE o\r\n.*\r\n({NUMBER}){{6}}\r\nChange\? "),
         (["HERE o", "1,,3", "", "listl o"], r".*\r\n.*\r\no +1.000 +-?0.000 +3.000 .*\r\n\."),
         (["do x = 4", "listr x"], r"listr x\r\nx = 4.0\r\n\."),
+        (["do x = 4", "point x"], r"point x\r\n\*Illegal value\* a real; accepted: a location\r\n\."),
+        (["do set o[1] = null", "point o[1]"], r"point o\[1\]\r\n\*Illegal value\* name o\[1\]\r\n\."),
         (['do $s = "a"', "lists"], r'lists\r\n\$s = "a"\r\n\.'),
         (["nonsense"], r"nonsense\r\n\*Unknown command\*\r\n\."),
         (["do x = y"], r"do x = y\r\n\*Undefined value\* y\r\n\."),
@@ -112,20 +114,31 @@ def test_a_program_is_edited_run_stored_and_loaded(talk: Talk) -> None:
 
 def test_a_program_asks_and_goes_on_where_it_stopped(talk: Talk) -> None:
     """PROMPT waits for a line; RETRY does the step that failed once more, PROCEED goes on behind it."""
-    for line in ("EDIT p", 'PROMPT "name? ", $n', "TYPE $n, x", "PAUSE", 'TYPE "end"', "E"):
+    for line in ("EDIT p", 'PROMPT "name? ", $n', 'PROMPT "", y', "TYPE $n, x, y", "PAUSE", 'TYPE "end"', "E"):
         talk(line)
     assert talk("exec p", 3).endswith("name? ")
-    assert "*Undefined value*" in talk("Ann", 3)
+    talk("Ann", 3)
+    assert "*Undefined value*" in talk("^B2", 3)  # no digit of base 2
     talk("do x = 5")
-    assert "Ann 5\r\n\r\n*Program paused*" in talk("retry", 3)
+    assert "Ann 5 0\r\n\r\n*Program paused*" in talk("retry", 3)
     assert "end\r\n\r\nProgram completed" in talk("proceed", 3)
+
+
+def test_a_reaction_that_was_aborted_comes_again(talk: Talk) -> None:
+    """Its priority does not stay behind."""
+    for line in ("EDIT late", "TYPE 5", "WAIT FALSE", "E", "EDIT p", "SIGNAL -5", "REACT 5, late", "SIGNAL 5", "E"):
+        talk(line)
+    for _ in range(2):
+        assert " 5\r\n" in talk("exec p", 3)
+        talk("abort")
+        talk("y")
 
 
 def test_a_client_talks_over_tcp(shipped: Setup, tmp_path: Path) -> None:
     """A relative motion along the tool is done while the client asks where the arm is."""
     names: Queue[str] = Queue()
     cell = Cell(shipped, Engine(shipped, keep=False))
-    words = {"port": 0, "baud": 9600, "waits": True}
+    words = {"port": 0, "baud": 2400, "waits": True}
     threading.Thread(target=serve, args=(cell, tmp_path, names.put), kwargs=words, daemon=True).start()
     port = int(names.get(timeout=60).rpartition(":")[2])
     with socket.create_connection(("127.0.0.1", port), timeout=30) as line:
@@ -146,5 +159,5 @@ def test_a_client_talks_over_tcp(shipped: Setup, tmp_path: Path) -> None:
         began = time.monotonic()
         lines = command("where")
         place = [float(number) for number in lines[2].split()]
-        assert time.monotonic() - began > 10 * len("".join(lines)) / 9600  # bits
+        assert 1.0 < (time.monotonic() - began) / (10 * len("".join(lines)) / 2400) < 3.0  # bits of a byte
         assert place[:3] == pytest.approx([450, 0, 405], abs=0.1)

@@ -127,6 +127,7 @@ def test_the_seam_is_straight_and_as_accurate_as_the_same_line(shipped: Setup) -
         ("SET p = TRANS(1,2,3):RZ(90):TRANS(1)\nTYPE DX(p), DY(p), DZ(p)", " 1 3 3"),
         ("SET p = TRANS(0,0,0,10,-20,30)\nDECOMPOSE d[0] = p\nTYPE /F6.1, d[3], d[4], d[5]", "-170.0  20.0-150.0"),
         ("TYPE INRANGE(TRANS(500,0,0,0,180)), INRANGE(#PPOINT(0,90)), CONFIG()", " 0 2 0"),
+        ("BITS 1, 4 = 5\nLOCK 2\nDECOMPOSE j[0] = #PHERE\nTYPE BITS(1,4), /F4.0, j[1], /I0, 7", " 5 -907"),
         ("TYPE DEFINED(x)\nx = 1\nTYPE DEFINED(x)", " 0| -1"),
         ("ATTACH ()\nACCEL (1) 50\nDETACH (0)\nTYPE ACCEL(1), ACCEL(2)", " 50 100"),
         ('.PROGRAM p()\nx = 1\nCALLS "q"(x)\nTYPE x\n.END\n.PROGRAM q(a)\na = 2\n.END', " 2"),
@@ -168,6 +169,8 @@ def test_a_reading_changes_how_and_binds_and_is_warned_of(shipped: Setup) -> Non
         ("TYPE " + "1+" * 5000 + "1", ["a line of 10006 characters; accepted: up to 255"]),
         (".END\nnonsense", [".END without a program", "'nonsense': outside of a program", ".END without a program"]),
         (".END\n.LOCATIONS\np 1 2 3\n.END\n.REALS\nx nan", ["3 numbers; accepted: 1, or 6", "'nan' is not"]),
+        (".END\n.REALS\na[] 5\na[-1] 5\na[i] 5", ["5: 'a[-1] 5': '-1] 5' is not expected", "6: 'a[i] 5': 'i] 5'"]),
+        (".END\n.PROGRAM q(1)", ["3: '.PROGRAM q(1)': '1)' is not expected"]),
     ],
 )
 def test_all_faults_of_a_file_are_found_with_their_lines(text: str, faults: list[str]) -> None:
