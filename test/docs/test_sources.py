@@ -250,21 +250,19 @@ def test_every_link_leads_somewhere() -> None:
     assert not wrong
 
 
+def test_how_to_pages_fit_on_two_screens() -> None:
+    """A how-to page has at most 1,000 words, and no table of more than 15 rows below its head."""
+    for page in (ROOT / "docs/howto").glob("*.md"):
+        text = page.read_text(encoding="utf-8")
+        assert len(text.split()) <= 1000, page.name
+        rows = [table.count("\n") - 2 for table in re.findall(r"(?:^ *\|.*\n)+", text, re.MULTILINE)]
+        assert max(rows, default=0) <= 15, page.name
+
+
 def test_every_page_that_is_named_is_there() -> None:
     """A page of docs/ that code, help, configuration or the changelog names by its path exists."""
     wrong = []
-    for folder in (
-        "",
-        "rx90_*",
-        "friction_bench",
-        "benchmarks",
-        "config",
-        "docs",
-        "firmware",
-        "launch",
-        "test",
-        "tools",
-    ):
+    for folder in ("", *PACKAGES, "benchmarks", "config", "docs", "firmware", "launch", "test", "tools"):
         files = ROOT.glob("*.*") if not folder else (p for root in ROOT.glob(folder) for p in root.rglob("*.*"))
         for file in files:
             if file.suffix in {".py", ".md", ".rst", ".yaml", ".xml", ".toml", ".txt", ".c", ".h", ".ipynb"}:
