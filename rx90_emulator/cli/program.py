@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import one_line, plain, quoted
@@ -22,20 +21,20 @@ from rx90_emulator.cli.options import (
     check_picture,
     new_file,
     new_folder,
-    node_of,
     number,
+    setup_of,
     whole_number,
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rx90_emulator.loop.setup import Setup
     from rx90_emulator.vplus.cell import Change
     from rx90_emulator.vplus.run import Options, ProgramRun
     from rx90_emulator.vplus.tree import Memory, Readings
 
-    _Runner: TypeAlias = Callable[
-        [argparse.Namespace, Setup, Memory, list[Change], Options], ProgramRun
-    ]
+    _Play = Callable[[argparse.Namespace, Setup, Memory, list[Change]], ProgramRun]
 
 _EPILOG = """\
 FILE is a file of V+ (.v2, .pg, with data sections or .lc beside it), or a folder of them. The arm begins at READY.
@@ -43,7 +42,6 @@ Inputs change at the times of --inputs: a YAML such as {1001: 1.0, 1002: [2.0, 3
 docs/reference/vplus.md says what of the language is there, and which readings are assumed.
 """
 _PERCENT = number("a percentage above 0, up to 100", lambda value: 0.0 < value <= 100.0)
-_TIMEOUT = 30.0
 _MOST_FAULTS = 20
 _PERIODS = (1, 2, 4, 8, 16)
 
@@ -66,12 +64,8 @@ def _add_engine(parser: argparse.ArgumentParser) -> None:
 
 def _add_nodes(parser: argparse.ArgumentParser) -> None:
     _add_program(parser)
-    parser.set_defaults(ros_args=[], output=None, slow_only=False, report=None, plot=None)
-    add_node_arguments(parser, _TIMEOUT)
-
-
-def _add_check(parser: argparse.ArgumentParser) -> None:
-    _add_file(parser)
+    parser.set_defaults(ros_args=[], output=None, report=None, plot=None)
+    add_node_arguments(parser)
 
 
 def _add_file(parser: argparse.ArgumentParser) -> None:
@@ -128,7 +122,7 @@ def _engine(options: argparse.Namespace) -> None:
     """Run a program in the closed loop without ROS, show what it did, write what was asked for."""
     if options.plot is not None:
         check_picture(options.plot)
-    _run(options, _in_engine)
+    _run(options, _on_engine)
 
 
 def _nodes(options: argparse.Namespace) -> None:
@@ -136,25 +130,15 @@ def _nodes(options: argparse.Namespace) -> None:
     _run(options, _on_nodes)
 
 
-def _run(options: argparse.Namespace, runner: _Runner) -> None:
-    # Here, because --help must not wait for them.
-    from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.loop.setup import Setup
+def _run(options: argparse.Namespace, play: _Play) -> None:
+    # Here, because --help must not wait for it.
     from rx90_emulator.vplus.cell import load_inputs
-    from rx90_emulator.vplus.run import Options
 
     inputs = load_inputs(options.inputs) if options.inputs is not None else []
     memory = _load(options)
-    setup = Setup.load(RobotFiles.of_options(options))
-    chosen = Options(
-        monitor_speed=options.monitor_speed,
-        period=options.planning * 1e-3,
-        idle=options.idle,
-        longest=options.longest,
-        record_fast=options.output is not None and not options.slow_only,
-    )
+    setup = setup_of(options)
     began = time.perf_counter()
-    run = runner(options, setup, memory, inputs, chosen)
+    run = play(options, setup, memory, inputs)
     _tell(run, time.perf_counter() - began)
     _write(run, options)
     if run.error is not None:
@@ -178,6 +162,18 @@ def _load(options: argparse.Namespace) -> Memory:
         for fault in error.faults[1:_MOST_FAULTS]:
             print(one_line(fault))
         raise
+
+
+def _chosen(options: argparse.Namespace, *, record_fast: bool = False) -> Options:
+    from rx90_emulator.vplus.run import Options
+
+    return Options(
+        monitor_speed=options.monitor_speed,
+        period=options.planning * 1e-3,
+        idle=options.idle,
+        longest=options.longest,
+        record_fast=record_fast,
+    )
 
 
 def _tell(run: ProgramRun, taken: float) -> None:
@@ -208,19 +204,25 @@ def _write(run: ProgramRun, options: argparse.Namespace) -> None:
         print(one_line(f"picture: {options.plot}"))
 
 
-def _in_engine(
-    options: argparse.Namespace, setup: Setup, memory: Memory, inputs: list[Change], chosen: Options
+def _on_engine(
+    options: argparse.Namespace, setup: Setup, memory: Memory, inputs: list[Change]
 ) -> ProgramRun:
     from rx90_emulator.vplus.run import run_program
 
-    arguments = options.arguments
+    chosen = _chosen(options, record_fast=options.output is not None and not options.slow_only)
     return run_program(
-        setup, memory, options.name, arguments=arguments, inputs=inputs, options=chosen, show=_show
+        setup,
+        memory,
+        options.name,
+        arguments=options.arguments,
+        inputs=inputs,
+        options=chosen,
+        show=_show,
     )
 
 
 def _on_nodes(
-    options: argparse.Namespace, setup: Setup, memory: Memory, inputs: list[Change], chosen: Options
+    options: argparse.Namespace, setup: Setup, memory: Memory, inputs: list[Change]
 ) -> ProgramRun:
     from rx90_common.exchange.ros_start import prepare
 
@@ -230,10 +232,9 @@ def _on_nodes(
     from rx90_emulator.vplus.cell import Cell
     from rx90_emulator.vplus.run import run_in
 
-    with client_node(
-        "rx90_program", options.timeout or _TIMEOUT, print, options.ros_args
-    ) as client:
-        nodes = ProgramClient(client, node_of(options), setup.robot.joint_names)
+    chosen = _chosen(options)
+    with client_node("rx90_program", options.timeout, print, options.ros_args) as client:
+        nodes = ProgramClient(client, options.node, setup.robot.joint_names)
         cell = Cell(setup, nodes, inputs, chosen.period)
         cell.publish = nodes.signals(cell.receive)
         cell.show = _show
@@ -267,5 +268,5 @@ def _readings(words: list[str]) -> Readings:
 _VERBS = (
     (_add_engine, _engine, "run a program in the closed loop without ROS"),
     (_add_nodes, _nodes, "run a program on the running nodes"),
-    (_add_check, _check, "read and check files, run nothing"),
+    (_add_file, _check, "read and check files, run nothing"),
 )
