@@ -128,156 +128,71 @@ def _speed(task: Task, kind: int) -> float:
     return task.queue.monitor if kind == 1 else {**task.always, **upcoming}["SPEED"]
 
 
-_KINDS: Final = """
-+  plain plain
--  real real
-*  real real
-/  real real
-MOD  real real
-AND  real real
-OR  real real
-XOR  real real
-BAND  integer integer
-BOR  integer integer
-BXOR  integer integer
-==  folded folded
-<>  folded folded
-<  folded folded
-<=  folded folded
->  folded folded
->=  folded folded
-NOT  real
-COM  integer
-:  place place
-TRUE ON
-FALSE OFF
-PI
-SIN  real
-COS  real
-TAN  real
-ATAN2  real real
-SQR  real
-SQRT  real
-ABS  real
-INT  real
-FRACT  real
-SIGN  real
-MIN  real real*
-MAX  real real*
-OUTSIDE  real real real
-LEN  text
-ASC  text integer?
-POS  text text integer?
-VAL  text
-STRDIF  text text
-$CHR  integer
-$MID  text integer integer
-$TRUNCATE  text
-$DECODE  variable text real?
-$ERROR  integer
-TRANS  real? real? real? real? real? real?
-#PPOINT  real? real? real? real? real? real?
-INVERSE  place
-SHIFT  place real? real? real?
-SCALE  place real
-FRAME  place place place place
-RX  real
-RY  real
-RZ  real
-DX  place
-DY  place
-DZ  place
-DISTANCE  place place
-IDENTICAL  place place
-NULL
-"""
-_KINDS_OF_STATE: Final = """
-RANDOM
-TOOL
-BASE
-HERE
-DEST
-#PHERE
-#PDEST
-TIME
-$TIME  any*
-$ENCODE  any*
-INRANGE  location
-CONFIG  any?
-DEFINED  tree
-LAST  tree
-SIG  integer integer*
-BITS  integer integer?
-TIMER  integer
-SWITCH  name
-SPEED  integer
-ACCEL  integer
-DURATION  integer?
-ERROR  integer
-IOSTAT  integer
-"""
-
 _VALUES: Final[dict[str, Any]] = {
-    "+": operator.add,
-    "-": operator.sub,
-    "*": operator.mul,
-    "/": operator.truediv,
-    "MOD": lambda left, right: math.fmod(left, right) if right else left / right,
-    "AND": lambda left, right: bool(left) & bool(right),
-    "OR": lambda left, right: bool(left) | bool(right),
-    "XOR": lambda left, right: bool(left) ^ bool(right),
-    "BAND": lambda left, right: _signed(left & right),
-    "BOR": lambda left, right: _signed(left | right),
-    "BXOR": lambda left, right: _signed(left ^ right),
-    "==": operator.eq,
-    "<>": operator.ne,
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-    "NOT": operator.not_,
-    "COM": lambda number: _signed(~number),
-    ":": operator.matmul,
-    "TRUE": lambda: True,
-    "FALSE": lambda: False,
+    "+  plain plain": operator.add,
+    "-  real real": operator.sub,
+    "*  real real": operator.mul,
+    "/  real real": operator.truediv,
+    "MOD  real real": lambda left, right: math.fmod(left, right) if right else left / right,
+    "AND  real real": lambda left, right: bool(left) & bool(right),
+    "OR  real real": lambda left, right: bool(left) | bool(right),
+    "XOR  real real": lambda left, right: bool(left) ^ bool(right),
+    "BAND  integer integer": lambda left, right: _signed(left & right),
+    "BOR  integer integer": lambda left, right: _signed(left | right),
+    "BXOR  integer integer": lambda left, right: _signed(left ^ right),
+    "==  folded folded": operator.eq,
+    "<>  folded folded": operator.ne,
+    "<  folded folded": operator.lt,
+    "<=  folded folded": operator.le,
+    ">  folded folded": operator.gt,
+    ">=  folded folded": operator.ge,
+    "NOT  real": operator.not_,
+    "COM  integer": lambda number: _signed(~number),
+    ":  place place": operator.matmul,
+    "TRUE ON": lambda: True,
+    "FALSE OFF": lambda: False,
     "PI": lambda: math.pi,
-    "SIN": lambda angle: math.sin(math.radians(angle)),
-    "COS": lambda angle: math.cos(math.radians(angle)),
-    "TAN": lambda angle: math.tan(math.radians(angle)),
-    "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)),
-    "SQR": lambda number: number * number,
-    "SQRT": math.sqrt,
-    "ABS": abs,
-    "INT": math.trunc,
-    "FRACT": lambda number: math.fmod(number, 1.0),
-    "SIGN": lambda number: 1 if number >= 0.0 else -1,
-    "MIN": lambda *numbers: min(numbers),
-    "MAX": lambda *numbers: max(numbers),
-    "OUTSIDE": lambda low, number, high: not low <= number <= high,
-    "LEN": len,
-    "ASC": lambda text, place=1: ord(text[place - 1]) if 1 <= place <= len(text) else -1,
-    "POS": lambda text, part, start=1: text.find(part, max(start - 1, 0)) + 1,
-    "VAL": number_of,
-    "STRDIF": lambda left, right: (left > right) - (left < right),
-    "$CHR": lambda code: bytes([code]).decode("latin-1"),
-    "$MID": lambda text, first, count: text[max(first - 1, 0) :][: max(count, 0)],
-    "$TRUNCATE": lambda text: text.partition("\0")[0],
-    "$DECODE": _decoded,
-    "$ERROR": _error_text,
-    "TRANS": trans,
-    "#PPOINT": lambda *joints: Joints(six(joints)),
-    "INVERSE": inverse,
-    "SHIFT": lambda place, *by: trans(*by) @ place,
-    "SCALE": lambda place, factor: placed(place[:3, :3], factor * place[:3, 3]),
-    "FRAME": frame,
-    "RX": lambda angle: trans(0.0, 0.0, 0.0, -90.0, angle, 90.0),
-    "RY": lambda angle: trans(0.0, 0.0, 0.0, 0.0, angle),
-    "RZ": lambda angle: trans(0.0, 0.0, 0.0, angle),
-    "DX": lambda place: place[0, 3].item(),
-    "DY": lambda place: place[1, 3].item(),
-    "DZ": lambda place: place[2, 3].item(),
-    "DISTANCE": lambda left, right: math.dist(left[:3, 3], right[:3, 3]),
-    "IDENTICAL": lambda left, right: np.abs(left - right).max() < _SAME,
+    "SIN  real": lambda angle: math.sin(math.radians(angle)),
+    "COS  real": lambda angle: math.cos(math.radians(angle)),
+    "TAN  real": lambda angle: math.tan(math.radians(angle)),
+    "ATAN2  real real": lambda y, x: math.degrees(math.atan2(y, x)),
+    "SQR  real": lambda number: number * number,
+    "SQRT  real": math.sqrt,
+    "ABS  real": abs,
+    "INT  real": math.trunc,
+    "FRACT  real": lambda number: math.fmod(number, 1.0),
+    "SIGN  real": lambda number: 1 if number >= 0.0 else -1,
+    "MIN  real real*": lambda *numbers: min(numbers),
+    "MAX  real real*": lambda *numbers: max(numbers),
+    "OUTSIDE  real real real": lambda low, number, high: not low <= number <= high,
+    "LEN  text": len,
+    "ASC  text integer?": lambda text, place=1: (
+        ord(text[place - 1]) if 1 <= place <= len(text) else -1
+    ),
+    "POS  text text integer?": lambda text, part, start=1: text.find(part, max(start - 1, 0)) + 1,
+    "VAL  text": number_of,
+    "STRDIF  text text": lambda left, right: (left > right) - (left < right),
+    "$CHR  integer": lambda code: bytes([code]).decode("latin-1"),
+    "$MID  text integer integer": lambda text, first, count: text[max(first - 1, 0) :][
+        : max(count, 0)
+    ],
+    "$TRUNCATE  text": lambda text: text.partition("\0")[0],
+    "$DECODE  variable text real?": _decoded,
+    "$ERROR  integer": _error_text,
+    "TRANS  real? real? real? real? real? real?": trans,
+    "#PPOINT  real? real? real? real? real? real?": lambda *joints: Joints(six(joints)),
+    "INVERSE  place": inverse,
+    "SHIFT  place real? real? real?": lambda place, *by: trans(*by) @ place,
+    "SCALE  place real": lambda place, factor: placed(place[:3, :3], factor * place[:3, 3]),
+    "FRAME  place place place place": frame,
+    "RX  real": lambda angle: trans(0.0, 0.0, 0.0, -90.0, angle, 90.0),
+    "RY  real": lambda angle: trans(0.0, 0.0, 0.0, 0.0, angle),
+    "RZ  real": lambda angle: trans(0.0, 0.0, 0.0, angle),
+    "DX  place": lambda place: place[0, 3].item(),
+    "DY  place": lambda place: place[1, 3].item(),
+    "DZ  place": lambda place: place[2, 3].item(),
+    "DISTANCE  place place": lambda left, right: math.dist(left[:3, 3], right[:3, 3]),
+    "IDENTICAL  place place": lambda left, right: np.abs(left - right).max() < _SAME,
     "NULL": lambda: np.eye(4),
 }
 _STATE: Final[dict[str, Any]] = {
@@ -289,26 +204,24 @@ _STATE: Final[dict[str, Any]] = {
     "#PHERE": lambda task: task.arm.joints(task.cell.drive.position()),
     "#PDEST": lambda task: task.arm.joints(task.queue.destination),
     "TIME": lambda task: task.cell.time,
-    "$TIME": lambda task, *_: time.strftime("%d-%b-%y %H:%M:%S", time.gmtime(task.cell.time)),
-    "$ENCODE": lambda task, *items: written(task, items)[0],
-    "INRANGE": _in_range,
-    "CONFIG": lambda task, _=None: _bit_sum(
+    "$TIME  any*": lambda task, *_: time.strftime("%d-%b-%y %H:%M:%S", time.gmtime(task.cell.time)),
+    "$ENCODE  any*": lambda task, *items: written(task, items)[0],
+    "INRANGE  location": _in_range,
+    "CONFIG  any?": lambda task, _=None: _bit_sum(
         configuration(task.arm.posture(task.cell.drive.position()))
     ),
-    "DEFINED": lambda task, variable: task.cell_of(variable).value is not None,
-    "LAST": _last,
-    "SIG": lambda task, *signals: all(map(task.cell.is_on, signals)),
-    "BITS": lambda task, first, count=1: _bit_sum(
+    "DEFINED  tree": lambda task, variable: task.cell_of(variable).value is not None,
+    "LAST  tree": _last,
+    "SIG  integer integer*": lambda task, *signals: all(map(task.cell.is_on, signals)),
+    "BITS  integer integer?": lambda task, first, count=1: _bit_sum(
         task.cell.is_on(first + bit) for bit in range(min(count, 24))
     ),
-    "TIMER": lambda task, number: task.cell.time - task.timers.get(number, 0.0),
-    "SWITCH": lambda task, name: name in task.switches,
-    "SPEED": _speed,
-    "ACCEL": lambda task, kind: task.always["UP" if kind == 1 else "DOWN"],
-    "DURATION": lambda task, _=1: task.always["DURATION"],
-    "ERROR": lambda task, _: task.error,
-    "IOSTAT": lambda *_: 1,
+    "TIMER  integer": lambda task, number: task.cell.time - task.timers.get(number, 0.0),
+    "SWITCH  name": lambda task, name: name in task.switches,
+    "SPEED  integer": _speed,
+    "ACCEL  integer": lambda task, kind: task.always["UP" if kind == 1 else "DOWN"],
+    "DURATION  integer?": lambda task, _=1: task.always["DURATION"],
+    "ERROR  integer": lambda task, _: task.error,
+    "IOSTAT  integer": lambda *_: 1,
 }
-FUNCTIONS: Final = entries(_KINDS, _VALUES, of_task=False) | entries(
-    _KINDS_OF_STATE, _STATE, of_task=True
-)
+FUNCTIONS: Final = entries(_VALUES, of_task=False) | entries(_STATE, of_task=True)

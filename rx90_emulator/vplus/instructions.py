@@ -28,15 +28,19 @@ _SWITCHED: Final = {
     "NULL": {"NULL": 1.0},
     "NONULL": {"NULL": 0.0},
 }
-_REFUSED: Final = """
-VPICTURE VLOCATE VFEATURE VSHOW VTRAIN VDISPLAY  vision is not emulated
-ALTER ALTON ALTOFF  ALTER needs a licensed option
-FORCE.READ FORCE.MODE FORCE.FRAME FORCE.OFFSET  force sensing is not emulated
-FOPEN FOPENA FOPEND FOPENR FOPENW FCLOSE FSET  no files are emulated
-EXECUTE ABORT KILL  one task is emulated
-MOVEF MOVESF  they belong to other arms
-DEVICE SETDEVICE DDCMP  no devices are emulated
-"""
+_REFUSED: Final = {
+    "VPICTURE VLOCATE VFEATURE VSHOW VTRAIN VDISPLAY": "vision is not emulated",
+    "ALTER ALTON ALTOFF": "ALTER needs a licensed option",
+    "FORCE.READ FORCE.MODE FORCE.FRAME FORCE.OFFSET": "force sensing is not emulated",
+    "FOPEN FOPENA FOPEND FOPENR FOPENW FCLOSE FSET": "no files are emulated",
+    "EXECUTE ABORT KILL": "one task is emulated",
+    "MOVEF MOVESF": "they belong to other arms",
+    "DEVICE SETDEVICE DDCMP": "no devices are emulated",
+}
+
+
+def _nothing(*_: object) -> None:
+    """Do nothing: it is of no effect here, or what follows in the program matters."""
 
 
 # Control.
@@ -378,127 +382,69 @@ def _attach(task: Task, unit: Tree, *_: object) -> None:
         task.cell_of(unit).store(10.0)
 
 
-_KINDS_OF_CONTROL: Final = """
-DO
-IF_THEN WHILE UNTIL  real
-IF_GOTO  real tree
-ELSE ANY GOTO VALUE EXIT NEXT  tree*
-END
-FOR  variable real real real?
-CASE  folded
-CALL CALLS  text tree*
-RETURN RETURNE
-STOP HALT
-PAUSE
-"""
-_KINDS: Final = """
-=  any variable
-AUTO LOCAL GLOBAL  tree*
-SET=  location variable
-HERE  variable
-JHERE  variable variable*
-DECOMPOSE=  location tree
-TOOL  place?
-BASE  real? real? real? real?
-MOVE MOVES  location
-MOVET MOVEST  location real
-APPRO APPROS  location real
-DEPART DEPARTS  real
-ALIGN
-DRIVE  joint real percent
-JMOVE  real? real? real? real? real? real?
-READY
-DELAY  seconds
-BREAK
-BRAKE
-LEFTY RIGHTY ABOVE BELOW FLIP NOFLIP
-CPON CPOFF NULL NONULL
-FINE COARSE  percent?
-SPEED  real percent?
-ACCEL  percent? percent?
-ACCEL()  real? percent? percent?
-DURATION  seconds
-OPEN CLOSE RELAX
-OPENI CLOSEI RELAXI
-SIGNAL  integer integer*
-BITS=  integer integer integer?
-RESET
-WAIT  tree?
-WAIT.EVENT  tree? seconds?
-TIMER=  real integer
-REACT REACTI  integer name real?
-REACTE  name?
-IGNORE  integer any?
-LOCK  real
-ENABLE DISABLE  name name*
-PARAMETER=  any name
-TYPE  any*
-PROMPT  text variable*
-READ()  any variable*
-WRITE()  any any*
-ATTACH()  tree any?
-DETACH() SELECT=  tree*
-ATTACH DETACH MULTIPLE SINGLE OVERLAP NOOVERLAP
-"""
-_ACTIONS: Final[dict[str, Any]] = {
-    "=": _assign,
-    "IF_THEN": lambda task, condition: task.jump(condition == 0.0),
-    "IF_GOTO": lambda task, condition, _: task.jump(condition != 0.0),
-    "ELSE": lambda task, *_: task.jump(),
+_CONTROL: Final[dict[str, Any]] = {
+    "IF_THEN WHILE UNTIL  real": lambda task, condition: task.jump(condition == 0.0),
+    "IF_GOTO  real tree": lambda task, condition, _: task.jump(condition != 0.0),
+    "ELSE ANY GOTO VALUE EXIT NEXT  tree*": lambda task, *_: task.jump(),
     "END": _end,
-    "FOR": _begin_for,
-    "CASE": _choose_case,
-    "CALL": Task.call,
-    "RETURN": _return,
-    "STOP": _stop,
+    "FOR  variable real real real?": _begin_for,
+    "CASE  folded": _choose_case,
+    "CALL CALLS  text tree*": Task.call,
+    "RETURN RETURNE": _return,
+    "STOP HALT": _stop,
     "PAUSE": _pause,
-    "SET=": _set,
-    "HERE": _here,
-    "JHERE": _joints_here,
-    "DECOMPOSE=": _decompose,
-    "TOOL": _set_tool,
-    "BASE": _set_base,
-    "MOVE": _move,
-    "MOVET": _move,
-    "APPRO": _approach,
-    "DEPART": _depart,
+    "DO": _nothing,
+}
+_ACTIONS: Final[dict[str, Any]] = {
+    "=  any variable": _assign,
+    "SET=  location variable": _set,
+    "HERE  variable": _here,
+    "JHERE  variable variable*": _joints_here,
+    "DECOMPOSE=  location tree": _decompose,
+    "TOOL  place?": _set_tool,
+    "BASE  real? real? real? real?": _set_base,
+    "MOVE MOVES  location": _move,
+    "MOVET MOVEST  location real": _move,
+    "APPRO APPROS  location real": _approach,
+    "DEPART DEPARTS  real": _depart,
     "ALIGN": _align,
-    "DRIVE": _drive,
-    "JMOVE": _move_joints,
+    "DRIVE  joint real percent": _drive,
+    "JMOVE  real? real? real? real? real? real?": _move_joints,
     "READY": lambda task: _issue(task, task.arm.ready),
-    "DELAY": _delay,
+    "DELAY  seconds": _delay,
     "BREAK": _break,
     "BRAKE": lambda task: task.queue.stop(),
-    "LEFTY": _configure,
-    "CPON": _switch_choice,
-    "FINE": _set_tolerance,
-    "SPEED": _set_speed,
-    "ACCEL": _set_ramps,
-    "ACCEL()": _set_profile,
-    "DURATION": lambda task, seconds: _choose(task, DURATION=seconds),
-    "OPEN": _set_hand,
-    "OPENI": _set_hand_now,
-    "SIGNAL": lambda task, *signals: task.cell.switch(*signals),
-    "BITS=": _set_bits,
+    "LEFTY RIGHTY ABOVE BELOW FLIP NOFLIP": _configure,
+    "CPON CPOFF NULL NONULL": _switch_choice,
+    "FINE COARSE  percent?": _set_tolerance,
+    "SPEED  real percent?": _set_speed,
+    "ACCEL  percent? percent?": _set_ramps,
+    "ACCEL()  real? percent? percent?": _set_profile,
+    "DURATION  seconds": lambda task, seconds: _choose(task, DURATION=seconds),
+    "OPEN CLOSE RELAX": _set_hand,
+    "OPENI CLOSEI RELAXI": _set_hand_now,
+    "SIGNAL  integer integer*": lambda task, *signals: task.cell.switch(*signals),
+    "BITS=  integer integer integer?": _set_bits,
     "RESET": _reset,
-    "WAIT": _wait,
-    "WAIT.EVENT": _wait_event,
-    "TIMER=": _set_timer,
-    "REACT": _react,
-    "REACTE": _react_to_errors,
-    "IGNORE": _ignore,
-    "LOCK": _lock,
-    "ENABLE": _set_switches,
-    "PARAMETER=": _set_parameter,
-    "TYPE": _show,
-    "PROMPT": _ask,
-    "READ()": lambda task, _, *targets: _ask(task, "", *targets),
-    "WRITE()": lambda task, _, *items: _show(task, *items),
-    "ATTACH()": _attach,
+    "WAIT  tree?": _wait,
+    "WAIT.EVENT  tree? seconds?": _wait_event,
+    "TIMER=  real integer": _set_timer,
+    "REACT REACTI  integer name real?": _react,
+    "REACTE  name?": _react_to_errors,
+    "IGNORE  integer any?": _ignore,
+    "LOCK  real": _lock,
+    "ENABLE DISABLE  name name*": _set_switches,
+    "PARAMETER=  any name": _set_parameter,
+    "TYPE  any*": _show,
+    "PROMPT  text variable*": _ask,
+    "READ()  any variable*": lambda task, _, *targets: _ask(task, "", *targets),
+    "WRITE()  any any*": lambda task, _, *items: _show(task, *items),
+    "ATTACH()  tree any?": _attach,
+    "AUTO LOCAL GLOBAL  tree*": _nothing,
+    "DETACH() SELECT=  tree*": _nothing,
+    "ATTACH DETACH MULTIPLE SINGLE OVERLAP NOOVERLAP": _nothing,
 }
-CONTROL: Final = entries(_KINDS_OF_CONTROL, _ACTIONS, of_task=True)
-INSTRUCTIONS: Final = CONTROL | entries(_KINDS, _ACTIONS, of_task=True)
-REFUSED: Final = {
-    word: " ".join(entry.kinds) for word, entry in entries(_REFUSED, {}, of_task=True).items()
-}
+CONTROL: Final = entries(_CONTROL, of_task=True)
+INSTRUCTIONS: Final = CONTROL | entries(_ACTIONS, of_task=True)
+REFUSED: Final = {word: reason for words, reason in _REFUSED.items() for word in words.split()}
 """Instructions that are not there, and why."""

@@ -62,20 +62,16 @@ class Entry:
             )
 
 
-def entries(
-    kinds: str, actions: dict[str, Callable[..., Any]], *, of_task: bool
-) -> dict[str, Entry]:
+def entries(actions: dict[str, Callable[..., Any]], *, of_task: bool) -> dict[str, Entry]:
     """Return a table of instructions or functions.
 
     Args:
-        kinds: lines of words of one action, two blanks, and the kinds of its arguments.
-        actions: by the first word of each line; what has none does nothing.
+        actions: by the words that have one, two blanks, and the kinds of its arguments.
         of_task: whether actions get the task.
     """
     table = {}
-    for line in filter(None, kinds.splitlines()):
+    for line, action in actions.items():
         words, _, arguments = line.partition("  ")
-        action = actions.get(words.split()[0], lambda *_: None)
         for word in words.split():
             table[word] = Entry(arguments.split(), action, of_task)
     return table
