@@ -68,7 +68,7 @@ def transmission_dtype(drives: int) -> np.dtype[np.void]:
     """Return the type of the constants."""
     return record_type(
         ("elastic", np.int64, (drives,)),
-        flexible=np.int64,  # whether any drive is elastic; if not, nothing below is used
+        flexible=np.int64,  # whether any drive is elastic; if not, nothing else is used
         link_friction=np.int64,  # whether the friction of the joints acts on the links
         rotor=drives,  # joint side, kg m^2
         stiffness=drives,  # 0 for rigid drives

@@ -102,9 +102,9 @@ def test_units_become_si(
 ) -> None:
     """Angles, turns and currents are what they are in rad, rad/s, Nm and A, times a factor of each joint."""
     mapping = f"rate: 1.5\nnames: [a, b]\n{field}: {{columns: [y, x], {unit}}}\n"
-    found = imported(tmp_path, mapping, f"# x,y\n{values[1]},{values[0]}\n{values[1]},{values[0]}\n")
+    found = imported(tmp_path, mapping, "# x,y\n" + 3 * f"{values[1]},{values[0]}\n")
     assert getattr(found, field)[1] == pytest.approx(expected, rel=1e-14)
-    assert found.stamp_ns.tolist() == [0, 666_666_667]  # the nearest ns
+    assert found.stamp_ns.tolist() == [0, 666_666_667, 1_333_333_333]  # the nearest ns each
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("s", 9), ("ms", 6), ("us", 3), ("ns", 0)])
