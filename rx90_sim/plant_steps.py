@@ -309,7 +309,17 @@ def _compliance(
     arms = np.frombuffer(arm, manipulator_dtype(n))
     masses = np.tile(whole, (len(shares), 1, 1))
     _masses(arms, np.zeros(1, body_dtype(n)), low + shares * (high - low), masses)
-    return np.asarray(np.abs(w @ np.linalg.solve(masses, w.T)).max(axis=0))
+    try:
+        with np.errstate(all="ignore"):  # what is not finite is refused
+            largest = np.abs(w @ np.linalg.solve(masses, w.T)).max(axis=0)
+    except np.linalg.LinAlgError:
+        largest = np.array(np.inf)
+    if not np.isfinite(largest).all():
+        raise ConfigError(
+            f"drives.rotor_inertia is {np.diag(inertia).tolist()} kg m^2; accepted: inertias with which the arm's mass "
+            "matrix can be inverted"
+        )
+    return np.asarray(largest)
 
 
 @kernel

@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 from rx90_common.bags.reading import BagReader, JointBag
 from rx90_common.bags.topics import JOINT_TRAJECTORY
 from rx90_common.base.errors import BagError
-from rx90_common.base.quoting import listed, plain
+from rx90_common.base.quoting import listed
 from rx90_common.base.rates import message_time_ns
 from rx90_common.exchange.topics import TRAJECTORY_ACCEPTED
 
@@ -38,10 +38,10 @@ def read_trajectories(path: Path | str) -> list[RecordedTrajectory]:
         fitting = [topic for topic in kind if topic.name.rpartition("/")[2] == TRAJECTORY_ACCEPTED]
         if len(fitting) > 1:
             what = f"has the trajectories of several controllers, {listed(sorted(topic.name for topic in fitting))}"
-            raise BagError(f"{plain(path)}: {what}; accepted: those of one")
+            raise BagError(f"{what}; accepted: those of one")
         if not fitting or not fitting[0].count:
             raise BagError(
-                f"{plain(path)}: no trajectory in it; accepted: a bag with rx90_controller/{TRAJECTORY_ACCEPTED}, "
+                f"no trajectory in it; accepted: a bag with rx90_controller/{TRAJECTORY_ACCEPTED}, "
                 "which rx90 bag record and rx90 run write"
             )
         found = [bag.deserialize(topic, data) for topic, _, data in bag.messages(fitting)]

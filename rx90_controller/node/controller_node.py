@@ -137,22 +137,16 @@ class Control:
         codec = JointStateCodec(cs7b.joint_names)
         motors = JointStateCodec(motor)
         details = zip(DETAILS, (codec, motors, motors), cs7b.details(), strict=True)
-        slow_ns = tick_ns * parameters.slow_topics_every_n_ticks
-        self._topics = [
-            (topic("reference"), 1, cs7b.reference, codec.encoder(*cs7b.reference())),
-            (
-                topic("tracking_error"),
-                1,
-                cs7b.tracking_error,
-                codec.encoder(*cs7b.tracking_error()),
-            ),
-            *(
-                (topic(detail), slow_ns, cs7b.details, names.encoder(effort=values))
-                for detail, names, values in details
-            ),
-        ]
+        reference = topic("reference"), codec.encoder(*cs7b.reference())
+        error = topic("tracking_error"), codec.encoder(*cs7b.tracking_error())
         self._offset = np.zeros(len(cs7b.joint_names))
         self._correction = topic(CORRECTION), codec.encoder(position=self._offset)
+        slow = [(topic(detail), names.encoder(effort=values)) for detail, names, values in details]
+        self._topics = [
+            (1, cs7b.reference, [reference]),
+            (1, cs7b.tracking_error, [error]),
+            (tick_ns * parameters.slow_topics_every_n_ticks, cs7b.details, slow),
+        ]
         self._accepted = node.create_publisher(
             JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS
         )
@@ -191,7 +185,7 @@ class Control:
                 node, manager, loop, cs7b.joint_names, name, (rates.position_hz, rates.base_hz)
             )
         self.publishers: tuple[Publisher, ...] = (
-            *(row[0] for row in self._topics),
+            *(publisher for _, _, messages in self._topics for publisher, _ in messages),
             self._correction[0],
             self._accepted,
             *([] if self.clients is None else [self.clients.publisher]),
@@ -239,9 +233,13 @@ class Control:
     def publish(self, stamp_ns: int) -> None:
         """Publish the results of the position loop."""
         # What nobody listens to is not sent: a message costs the tick more than the law.
-        for publisher, every_ns, update, encode in self._topics:
-            if stamp_ns % every_ns == 0 and publisher.get_subscription_count():
+        for every_ns, update, messages in self._topics:
+            if stamp_ns % every_ns:
+                continue
+            heard = [row for row in messages if row[0].get_subscription_count()]
+            if heard:
                 update()
+            for publisher, encode in heard:
                 publisher.publish(encode(stamp_ns))
         offset = self._cs7b.offset
         (publisher, encode) = self._correction

@@ -190,12 +190,12 @@ class Servo:
             if isinstance(error, PastError)
             else ResultCode.INVALID_GOAL
         )
+        self.count_refusal(request.kind, error)
         request.end(State.ABORTED, code, str(error))
         if request.is_goal:
-            self.count_refusal(request.kind, error)
             self.deliver(request)
         else:
-            self.reject(request.kind, error)
+            self.complain(f"{request.kind} rejected: {error}")
 
     def reject(self, kind: str, error: TrajectoryError) -> None:
         """Count what was refused, and say why."""

@@ -80,6 +80,7 @@ class TrajectoryGenerator:
         rest = np.zeros((2, joints))
         held = np.zeros((3, joints))
         spline = smooth(np.array([0.0, 1.0]), rest, rest)
+        spline.bounds()
         self._followed(0, Path(spline, 0.0, 1.0)).halted(0, 1)
         every = np.ones(joints, dtype=np.bool_)
         stream = Stream(POSITION, every, self.limits, self.period, StreamOptions())

@@ -50,24 +50,44 @@ class Spline:
         return setpoints
 
     def bounds(self) -> tuple[Array, Array]:
-        """Return bounds of positions, velocities and accelerations, shape (3, j) each.
+        """Return bounds of positions, velocities and accelerations, shape (3, j) each; infinite for no numbers.
 
-        Between its ends a polynomial lies within its control points as a Bezier curve: b_m is the sum of
-        C(m, i)/C(degree, i) c_i span^i (Farin 2002, chapter 5).
+        Between its ends a polynomial lies within its control points as a Bezier curve (Farin 2002, chapter 5).
         """
-        span = np.diff(self.times)[:, None, None]
-        derivative = self.coefficients
-        low = []
-        high = []
-        for degree in (5, 4, 3):
-            powers = range(degree + 1)
-            share = [[math.comb(m, i) / math.comb(degree, i) for i in powers] for m in powers]
-            power = np.arange(degree + 1)[:, None]
-            control = np.array(share) @ (derivative * span**power)
-            low.append(control.min(axis=(0, 1), initial=np.inf))
-            high.append(control.max(axis=(0, 1), initial=-np.inf))
-            derivative = (derivative * power)[:, 1:]
-        return np.array(low), np.array(high)
+        shape = 3, self.final.size
+        low = np.full(shape, np.inf)
+        high = np.full(shape, -np.inf)
+        _control_points(self.coefficients, np.diff(self.times), low, high)
+        return low, high
+
+
+@kernel
+def _control_points(coefficients: Array, span: Array, low: Array, high: Array) -> None:
+    """Lower `low` and raise `high`, shape (3, j), to the control points of all pieces."""
+    scaled = np.empty(6)
+    for k in range(span.size):
+        for j in range(low.shape[1]):
+            for row in range(3):
+                degree = 5 - row
+                factor = 1.0
+                for i in range(degree + 1):
+                    # The derivative's coefficient, by the share of the span.
+                    scaled[i] = coefficients[k, i + row, j] * factor
+                    factor *= span[k]
+                    for d in range(row):
+                        scaled[i] *= i + row - d
+                # Differences of the control points, upwards: b_m = sum of C(m, i)/C(degree, i) scaled_i.
+                for m in range(degree + 1):
+                    value = 0.0
+                    share = 1.0
+                    for i in range(m + 1):
+                        value += share * scaled[i]
+                        share *= (m - i) / (degree - i) if i < degree else 0.0
+                    if not abs(value) < np.inf:
+                        low[row, j] = -np.inf
+                        high[row, j] = np.inf
+                    low[row, j] = min(low[row, j], value)
+                    high[row, j] = max(high[row, j], value)
 
 
 @kernel
@@ -251,6 +271,14 @@ class _Law:
             rates[row] + ahead * change,
             change,
         )
+
+    def point(self, tick: int) -> tuple[float, float]:
+        """Return time, s, and rate at a tick, faster than `at`."""
+        since = tick - self.tick
+        self._extend(since + 1)
+        row = min(since, self._series.shape[1] - 1)
+        time, rate = self._series[:, row].tolist()
+        return time + (since - row) * self._period * rate, rate
 
     def settles(self, within: int) -> int | None:
         """Return the ticks until the target rate, or the end of the path, is reached; None if they are more."""
@@ -443,8 +471,7 @@ class FollowedPath:
         """Return the time on the path at a tick, s, and its rate."""
         for law in reversed(self.laws):
             if tick >= law.tick:
-                time, rate, _ = law.at(np.array([tick]))
-                return float(time[0]), float(rate[0])
+                return law.point(tick)
         return (tick - self.start) * self.period, 1.0
 
     def entry(self, tick: int) -> Array:

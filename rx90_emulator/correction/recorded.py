@@ -191,7 +191,7 @@ def _topic(bag: Path | str, name: str) -> Array:
         ]
         if not found:
             raise BagError(
-                f"{plain(bag)}: no topic {plain(name)} of {', '.join(_POSITIONS)}; accepted: one that is"
+                f"no topic {plain(name)} of {', '.join(_POSITIONS)}; accepted: one that is"
             )
         read = attrgetter(_POSITIONS[found[0].msgtype])
         messages = [reader.deserialize(one, data) for one, _, data in reader.messages(found)]

@@ -14,7 +14,7 @@ from rx90_common.bags.mapping import is_table
 from rx90_common.bags.reading import BagReader
 from rx90_common.bags.topics import STRING, reports_changes
 from rx90_common.base.errors import BagError
-from rx90_common.base.quoting import plain, quoted
+from rx90_common.base.quoting import quoted
 from rx90_common.description.urdf import robot_name
 
 _DESCRIPTION = "robot_description"
@@ -41,7 +41,7 @@ def check_robot(path: Path | str, robot: str) -> None:
                 name = robot_name(str(bag.deserialize(topic, data).data))
                 if name not in ("", robot):
                     raise BagError(
-                        f"{plain(path)}: recorded of the robot {quoted(name)}, not of {quoted(robot)}; accepted: a "
+                        f"recorded of the robot {quoted(name)}, not of {quoted(robot)}; accepted: a "
                         "bag of that robot, or --robot with the bag's"
                     )
 

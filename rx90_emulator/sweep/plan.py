@@ -12,12 +12,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Generic, TypeAlias, TypeVar
+from typing import Annotated, Any, Generic, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from rx90_common.base.errors import located
+from rx90_common.base.errors import ConfigError, located
 from rx90_common.base.models import (
     FileModel,
     OneOf,
@@ -28,7 +28,7 @@ from rx90_common.base.models import (
     read_model,
     refusals,
 )
-from rx90_common.base.quoting import plain
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import DESCRIPTIONS, FILES, MODEL_FILES, RobotFiles
@@ -76,11 +76,11 @@ class SpacedValues(OneOf):
             raise ValueError(
                 f"the count of values is {count:g}; accepted: a whole number in [1, {MOST_VALUES}]"
             )
-        if self.linspace is not None:
-            return tuple(np.linspace(start, stop, int(count)).tolist())
-        if not (start > 0.0 and stop > 0.0):
+        if self.geomspace is not None and not (start > 0.0 and stop > 0.0):
             raise ValueError(f"geomspace from {start:g} to {stop:g}; accepted: both > 0")
-        return tuple(np.geomspace(start, stop, int(count)).tolist())
+        spaced = np.linspace if self.geomspace is None else np.geomspace
+        with np.errstate(all="ignore"):  # values that are not finite are refused
+            return tuple(spaced(start, stop, int(count)).tolist())
 
 
 class NormalDistribution(FileModel):
@@ -103,8 +103,12 @@ class NormalDistribution(FileModel):
         """Return which shares of the whole distribution lie below the bounds."""
         from scipy.special import ndtr  # takes a while
 
-        low, high = ndtr((np.array(self.bounds) - self.mean) / self.deviation).tolist()
-        return low, high
+        low, high = self.bounds
+        # Quotients of Python's numbers may be infinite without a warning.
+        return (
+            float(ndtr((low - self.mean) / self.deviation)),
+            float(ndtr((high - self.mean) / self.deviation)),
+        )
 
     def quantile(self, share: float) -> float:
         """Return the value below which `share` of the distribution lies."""
@@ -152,6 +156,11 @@ class DrawnValues(OneOf):
                 )
         return self
 
+    def bare(self) -> dict[str, Any]:
+        """Return the distribution alone, without where it comes from."""
+        about = dict.fromkeys(self.about_keys, True)
+        return self.model_dump(exclude_none=True, exclude={**about, "normal": about})
+
     def quantile(self, share: float) -> float:
         """Return the value below which `share` of the distribution lies."""
         low, high = self.bounds
@@ -165,7 +174,7 @@ class DrawnValues(OneOf):
 
 
 Listed: TypeAlias = Annotated[
-    SpacedValues | Annotated[tuple[_Value, ...], Field(strict=False, min_length=1)],
+    Annotated[tuple[_Value, ...], Field(strict=False, min_length=1)] | SpacedValues,
     Field(json_schema_extra={"accepted": _SPACES}),
 ]
 Drawn: TypeAlias = Annotated[DrawnValues, Field(json_schema_extra={"accepted": _DRAWN})]
@@ -192,6 +201,8 @@ class SweptParameter(OneOf, Generic[_Space]):
 class GridParameter(SweptParameter[Listed]):
     """A quantity with a list of values; its name is the path that it sets, unless there are paths."""
 
+    each: Annotated[Literal[False], Field(description="Of random draws only.")] = False
+
     @cached_property
     def space(self) -> tuple[Value, ...]:
         """Return the values, in their order."""
@@ -201,6 +212,8 @@ class GridParameter(SweptParameter[Listed]):
     @model_validator(mode="after")
     def _check_values(self) -> GridParameter:
         for value, count in Counter(self.space).items():
+            if not math.isfinite(value):
+                raise ValueError(f"a value is {value}; accepted: finite numbers, or true and false")
             if count > 1:
                 raise ValueError(f"the value {value} stands twice; accepted: once")
         return self
@@ -385,7 +398,14 @@ class SweepPlan(FileModel):
             path: {"value": [v.item() if isinstance(v, np.generic) else v for v in listed]}
             for path, listed in values.items()
         }
-        content = {"blocks": {"grid": {"grid": grid}}, "base": base or SweepBase()}
+        for path in grid.keys() & FileModel.about_keys:
+            raise ConfigError(
+                f"{quoted(path)} names nothing; accepted: such as friction.joint_2.c0"
+            )
+        # A file's grid has parameters; without any there is one run of what the files have.
+        one_run = Block.model_construct(grid=Grid.model_construct())
+        block = {"grid": grid} if grid else one_run
+        content = {"blocks": {"grid": block}, "base": base or SweepBase()}
         with refusals(cls, content=content):
             return cls.model_validate(content)
 
@@ -421,8 +441,8 @@ def _described(named: tuple[str, GridParameter | DrawnParameter]) -> dict[str, A
         "name": name,
         "paths": parameter.paths or (name,),
         "factor": parameter.value is None,
-        "space": space.model_dump(exclude_none=True) if isinstance(space, DrawnValues) else space,
-        "each": isinstance(parameter, DrawnParameter) and parameter.each,
+        "space": space.bare() if isinstance(space, DrawnValues) else space,
+        "each": parameter.each,
     }
 
 

@@ -14,10 +14,11 @@ from pinocchio_chain import tip_pose
 from processes import Processes
 from ros_client import Client
 from schema_faults import schema_faults
+from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.share import config_path
-from rx90_controller.lines.plan import plan_line
+from rx90_controller.lines.plan import Approach, plan_line
 from rx90_controller.lines.task import load_task
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.setup import Setup
@@ -115,3 +116,25 @@ def test_a_controller_that_comes_later_gets_the_whole_trajectory(shipped: Setup,
     assert np.array_equal([p.accelerations for p in message.points], plan.acceleration)
     last = message.points[-1].time_from_start
     assert (last.sec, last.nanosec) == (5, 600_000_000)
+
+
+@pytest.mark.ros
+def test_an_approach_comes_first_where_the_arm_stands_elsewhere(shipped: Setup, processes: Processes) -> None:
+    """From another pose the first point, the start of the line, comes after the time a joint move takes."""
+    plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
+    here = plan.start_pose + np.array([0.1, -0.2, 0.3, 0.0, 0.1, -0.4])
+    state = JointState(name=shipped.robot.joint_names[::-1], position=here[::-1].tolist())
+    with closing(Client()) as client:
+        name = client.node.get_name()
+        taken = client.listen(f"{name}/joint_trajectory", JointTrajectory)
+        states = client.node.create_publisher(JointState, "joint_states", 10)
+        client.node.create_timer(0.02, lambda: states.publish(state))
+        sender = processes.start("rx90 line", REFERENCE, "--approach", "--node", name)
+        client.spin_until(lambda: bool(taken), "the trajectory")
+    assert sender.wait() == 0, sender.output
+    assert "approach: " in sender.output
+    first = taken[0].points[0]
+    assert np.array_equal(first.positions, plan.start_pose)
+    assert not np.any(first.velocities)
+    delay = first.time_from_start.sec + 1e-9 * first.time_from_start.nanosec
+    assert 0.0 <= delay - Approach().duration(shipped.robot, here, plan.start_pose) < 1e-3

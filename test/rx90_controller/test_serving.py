@@ -298,6 +298,16 @@ def test_states_that_cannot_be_used_change_nothing(loops: Loops, ahead: int, wha
     assert abs(loops.ticks[-1][1] - loops.ticks[-1][2]) <= 3
 
 
+@pytest.mark.parametrize("raw", [b"", b"\0", b"\0\1\0\0"])
+def test_a_burst_of_garbage_costs_no_tick(loops: Loops, raw: bytes) -> None:
+    """A hundred messages that are none, at once, between two states: the motion goes on; one line names the topic."""
+    loops.simulation.inbox += [raw] * 100
+    loops.run_for(0.5)
+    assert all(b[1] - a[1] == 1 for a, b in pairwise(loops.ticks))
+    assert len(loops.begun) == len(loops.refused) == 1
+    assert loops.refused[0].startswith("/motor_states: ")
+
+
 def test_two_simulations_get_no_commands(loops: Loops) -> None:
     """Where two simulations send bursts of states in turns, commands stop until one of them is left."""
     simulation = loops.simulation

@@ -148,6 +148,18 @@ def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
     assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
 
 
+def test_other_constants_of_the_law_count_from_a_position_tick_on(rig: Rig) -> None:
+    """Given between two of them, they wait for the next one, whose time is said."""
+    rig.loop.hold(rig.states(0))
+    rig.run(0, 9)
+    effective: list[int] = []
+    rig.loop.change_law(rig.cs7b.law.copy(), effective.append)
+    rig.run(9, 3)
+    assert effective == []
+    rig.run(12, 1)
+    assert effective == [12 * rig.period]
+
+
 @pytest.mark.parametrize("named", [False, True])
 def test_an_empty_trajectory_stops_within_the_accelerations_and_holds(rig: Rig, named: bool) -> None:
     """Position and velocity of the set-points go on without a jump, then the place is held; two lines tell it."""

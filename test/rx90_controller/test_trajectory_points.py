@@ -53,6 +53,7 @@ NAN_ROW = [0.1, 0.2, math.nan, 0.4, 0.5, 0.6]
 REFUSALS: list[tuple[dict[str, Any], str]] = [
     ({"joint_names": (*NAMES[:5], "joint_9")}, "unknown joint 'joint_9'; accepted: joint_1, joint_2"),
     ({"joint_names": (*NAMES[:5], "joint_1")}, "joint 'joint_1' stands 2 times; accepted: once"),
+    ({"joint_names": (), "partial": True}, "no joints; accepted: joint_1, joint_2"),
     ({"times": [], "position": [], "velocity": [], "acceleration": []}, "no points; accepted: at least one"),
     ({"times": [1.0, 1.0, 2.0]}, "point 1: time_from_start 1 s after 1 s; accepted: increasing"),
     ({"position": [ROW, ROW[:5], ROW]}, "point 1: 5 positions; accepted: 6"),

@@ -268,6 +268,17 @@ def test_the_amplifier_folds_back(shipped: Setup) -> None:
     assert plant.winding_temperatures()[4] > 120.0
 
 
+def test_ideal_drives_report_their_torque_and_stay_cold(shipped: Setup) -> None:
+    """Without the blocks the report is the torque to the last bit, nothing gets warm and no torque is limited."""
+    plant = shipped.plant()
+    for share in (0.2, *[10.0] * 9):
+        plant.step(share * shipped.drives.peak_torque)
+        assert plant.motor_states()[2].tobytes() == plant.state["motor_torque"][0].tobytes()
+    assert np.all(plant.winding_temperatures() == 20.0)
+    assert current_shares(plant.constants, plant.winding_temperatures()).tolist() == [1.0] * 6
+    assert warm_motors(plant.constants, plant.winding_temperatures()) == ""
+
+
 OFFSET = np.array([0.02, -0.03, 0.01, 0.0, 0.04, -0.01])
 NOISE = np.array([0.01, 0.02, 0.005, 0.01, 0.02, 0.003])
 

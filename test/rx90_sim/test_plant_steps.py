@@ -125,6 +125,8 @@ def test_the_refusal_says_what_asks_for_steps(shipped: Setup) -> None:
         scaled(shipped, c2=5.0, alpha=0.3).plant(1)
     with pytest.raises(ConfigError, match=r"drives\.brake_damping\[3\] is 4000 Nm s/rad"):
         with_parameters(shipped, {"drives.brake_damping[3]": 4000.0}).plant(1)
+    with pytest.raises(ConfigError, match=r"drives\.rotor_inertia is \[.* kg m\^2; accepted: .* can be inverted"):
+        elastic(with_rotors(shipped, 1e-320), SOFT).plant()
 
 
 @pytest.mark.parametrize("weaker", ["positive", "negative"])

@@ -25,6 +25,7 @@ from rx90_common.description.kinematics import (
     jacobian,
     path_error,
     polyline_error,
+    tip_position,
 )
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
@@ -46,13 +47,15 @@ def _check_against_pinocchio(robot: RobotModel) -> None:
     data, frame = robot.model.createData(), robot.model.getFrameId(robot.tcp_frame)
     q, v = _states(robot, 10), np.random.default_rng(4).normal(size=(10, 6))
     pose, ours, bias = forward(robot.chain, q), jacobian(robot.chain, q), bias_acceleration(robot.chain, q, v)
+    tips = tip_position(robot.chain, q)
     for k in range(10):
         pin.computeJointJacobians(robot.model, data, q[k])
         oracle = pin.getFrameJacobian(robot.model, data, frame, pin.LOCAL_WORLD_ALIGNED)
         np.testing.assert_allclose(ours[k], oracle, atol=1e-12)
         pin.forwardKinematics(robot.model, data, q[k], v[k], np.zeros(6))
         pin.updateFramePlacements(robot.model, data)
-        np.testing.assert_allclose(pose.position[k], data.oMf[frame].translation, atol=1e-12)
+        for position in (pose.position[k], tips[k]):
+            np.testing.assert_allclose(position, data.oMf[frame].translation, atol=1e-12)
         np.testing.assert_allclose(pose.rotation[k], data.oMf[frame].rotation, atol=1e-12)
         acceleration = pin.getFrameClassicalAcceleration(robot.model, data, frame, pin.LOCAL_WORLD_ALIGNED)
         np.testing.assert_allclose(bias[k], acceleration.vector, atol=1e-11)

@@ -101,7 +101,7 @@ def test_the_module_for_isaac_lab_runs(shipped: Setup) -> None:
     assert config.armature["joint_5"] == pytest.approx(shipped.drives.rotor_matrix[4, 4])
 
 
-HOSTILE = """x\"\"\"; raise SystemExit('hostile') # \\ & ' {{ 7 * 7 }} ]]> --> <i>\U0001f980"""
+HOSTILE = """x\"\"\"; raise SystemExit('hostile') # \\ & ' {{ 7 * 7 }} ]]> --> <i/>\U0001f980"""
 
 
 @pytest.mark.usefixtures("isaac")

@@ -116,6 +116,13 @@ def test_simulate_equals_plant_and_controller_stepped_one_by_one(shipped: Setup,
     assert np.abs(want["joint_states"][:, 0] - HOME).max() > 0.08
 
 
+def test_recording_the_fast_series_does_not_change_the_run(shipped: Setup) -> None:
+    """The slow series are the same with and without the fast ones."""
+    full, lean = (simulate(shipped, there_and_back(), HOME, 0.1, record_fast=fast) for fast in (True, False))
+    assert (full.fast is None, lean.fast is None) == (False, True)
+    assert all(a.tobytes() == b.tobytes() for a, b in zip(full.slow, lean.slow, strict=True))
+
+
 def test_what_cannot_be_run_is_refused(shipped: Setup) -> None:
     """A time that is none, a trajectory that starts elsewhere or in the past, and a pose out of reach are refused."""
     for duration in (0.0, -1.0, 1e-9, float("nan"), float("inf")):
@@ -182,6 +189,16 @@ def test_the_tool_can_be_the_user_s_own_or_none(shipped_files: RobotFiles, edite
     tool = edited_yaml(shipped_files.tool or Path(), ("inertial", "mass"), 1.25)
     assert Setup.load(RobotFiles(tool=tool)).robot.chain.mass[5] == pytest.approx(1.45)
     assert Setup.load(RobotFiles(tool=None)).robot.chain.mass[5] == pytest.approx(0.2)
+
+
+def test_plants_and_controllers_do_not_share_state(shipped: Setup) -> None:
+    """Two plants of one setup are two robots, and two controllers two cabinets."""
+    plants, controllers = [shipped.plant(), shipped.plant()], [shipped.cs7b(), shipped.cs7b()]
+    still = plants[1].joint_states()[1].tobytes(), controllers[1].state.tobytes()
+    plants[0].step(np.full(6, 0.3))
+    controllers[0].step(np.full(6, 0.3), np.zeros(6))
+    assert (plants[1].joint_states()[1].tobytes(), controllers[1].state.tobytes()) == still
+    assert [one.tick for one in (*plants, *controllers)] == [1, 0, 1, 0]
 
 
 def to_limit(setup: Setup, joint: int, sign: float, ramp: float) -> tuple[np.ndarray, np.ndarray, float]:

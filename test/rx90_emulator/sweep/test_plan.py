@@ -91,7 +91,7 @@ def test_hash_is_of_the_content(tmp_path: Path) -> None:
     hashes = []
     for folder, text, more in (
         ("a", FULL, ""),
-        ("b", FULL, ""),
+        ("b", FULL.replace("low: 0.5", "low: 0.5, note: mine").replace("2.0]}, each", "2.0], source: me}, each"), ""),
         ("c", FULL.replace("5", "6", 1), ""),
         ("d", FULL, "#"),
     ):
@@ -126,7 +126,9 @@ def test_shipped_and_documented_plans_fit(
         ("{}", "blocks.a: has no parameters; accepted: one or both of grid, random"),
         ("{grid: {task.speed: {value: [0.1, 0.1]}}}", "0.1 stands twice"),
         ("{grid: {task.speed: {value: [1], factor: [1]}}}", "has value and factor of value, factor; accepted: one"),
-        ("{grid: {task.speed: {value: [1], each: true}}}", "speed.each is not a known key; accepted: value"),
+        ("{grid: {task.speed: {value: [1], each: true}}}", "speed.each is True; accepted: False"),
+        ("{grid: {task.speed: {value: {}}}}", "speed.value is {}; accepted: [v1, v2, ...], {linspace"),
+        ("{grid: {task.speed: {value: {linspace: [-1e308, 1e308, 3]}}}}", "speed: a value is nan; accepted: finite"),
         ("{grid: {task.sped: {value: [1]}}}", "'sped' is unknown (did you mean speed?); accepted there: accel"),
         ("{grid: {friction.*.c0: {factor: [1]}, friction.joint_2.c0: {factor: [1]}}}", "both set friction.joint_2.c0"),
         ("{grid: {x: {paths: [task.speed, task.speed], value: [1]}}}", "set a value twice"),
@@ -137,9 +139,10 @@ def test_shipped_and_documented_plans_fit(
         ("{grid: {task.speed: {value: [1]}}, draws: 4}", "without random parameters"),
         ("{grid: {task.speed: {value: {geomspace: [0, 1, 3]}}}}", "geomspace from 0 to 1; accepted: both > 0"),
         ("{random: {task.speed: {value: {loguniform: [0, 2]}}}, draws: 1}", "accepted: a lower bound > 0"),
-        ("{random: {task.speed: {value: {normal: {mean: 1, deviation: 0.1, low: 2}}}}, draws: 1}", "; accepted: at"),
+        ("{random: {task.speed: {value: {normal: {mean: 1, deviation: 1e-308, low: 2}}}}, draws: 1}", "; accepted: at"),
     ],
 )  # fmt: skip
+@pytest.mark.filterwarnings("error")
 def test_bad_plans_get_one_line(tmp_path: Path, block: str, said: str) -> None:
     """A mistake in a plan is refused in one line that names the place, the value and what is accepted."""
     with pytest.raises(ConfigError) as error:
@@ -183,6 +186,7 @@ def test_grid_is_the_full_product(catalogue: Catalogue) -> None:
     runs = all_runs(plan_of(a=first, b={"grid": {"task.speed": {"factor": [6.0]}}}), catalogue)
     assert [tuple(v for _, v in run.values) for run in runs] == [*product((1.0, 2.0), (3.0, 4.0, 5.0)), (6.0,)]
     assert [run.index for run in runs] == list(range(7))
+    assert [run.values for run in all_runs(SweepPlan.of_grid({}), catalogue)] == [()]
 
 
 def test_runs_do_not_depend_on_how_many_are_asked_for(catalogue: Catalogue) -> None:
@@ -224,3 +228,5 @@ def test_factor_and_value(catalogue: Catalogue) -> None:
     both = [{"grid": {"task.speed": {kind: [2.0]}}} for kind in ("factor", "value")]
     with pytest.raises(ConfigError, match="means something else"):
         RunList(plan_of(a=both[0], b=both[1]), catalogue)
+    with pytest.raises(ConfigError, match="'note' names nothing"):
+        SweepPlan.of_grid({"task.speed": [0.1], "note": [1.0]})
