@@ -129,7 +129,7 @@ class RobotFiles:
             own = folder / name
             if variant and not own.is_file():
                 own = above / name
-            if role == "tool" and given == NO_TOOL:
+            if role == "tool" and str(given) == NO_TOOL:
                 files[role] = None
             elif given is not None:
                 files[role] = resolve_config(str(given))

@@ -79,7 +79,12 @@ def number_of(text: str) -> float:
     if match is None:
         return 0.0
     kind = match.lastindex or 1
-    return float(match[kind]) if kind > len(_BASES) else float(int(match[kind], _BASES[kind - 1]))
+    if kind > len(_BASES):
+        return float(match[kind])
+    try:
+        return float(int(match[kind], _BASES[kind - 1]))
+    except OverflowError:
+        return math.inf
 
 
 def _decoded(source: Cell, delimiters: str, mode: float | None = None) -> str:

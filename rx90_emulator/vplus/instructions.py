@@ -14,7 +14,7 @@ from rx90_emulator.vplus.motion import Line, Motion, Profile, plan
 from rx90_emulator.vplus.task import Loop, Reaction, Task, Waits
 from rx90_emulator.vplus.transformations import aligned, six_numbers, trans
 from rx90_emulator.vplus.tree import Reference, Tree, entries
-from rx90_emulator.vplus.values import Cell, Joints, Value, VplusError
+from rx90_emulator.vplus.values import Cell, Joints, Value, VplusError, bounded
 
 _UNITS: Final = {"MMPS": 1.0, "IPS": 25.4}  # mm/s
 _NULL_TIME: Final = 2.0  # s, until errors must be small
@@ -373,7 +373,7 @@ def _ask(task: Task, question: str, *targets: Cell) -> Waits:
         answer = task.cell.ask("")
     parts = [*answer.split(","), *[""] * len(targets)]
     for target, part in zip(targets, parts, strict=False):
-        target.store(answer if target.name[0] == "$" else number_of(part))
+        target.store(answer if target.name[0] == "$" else bounded(number_of(part)))
 
 
 def _attach(task: Task, unit: Tree, *_: object) -> None:

@@ -154,6 +154,8 @@ class _Builder(Transformer[Any]):
         return Program(plain_name(name), names, automatic=set(names))
 
     def datum(self, place: Reference, *parts: Any) -> tuple[Reference, Any]:
+        if place.name.upper() in FUNCTIONS:
+            raise SyntaxError(f"{place.name} is a reserved word")
         if len(parts) == 1:
             return place, parts[0]
         if len(parts) != _LOCATION:
@@ -346,7 +348,9 @@ class Reader:
     def _declare(self, program: Program, declaration: Step) -> None:
         if any(step.word not in ("", *_DECLARATIONS) for step in program.steps):
             self.note(f"{declaration.word} stands behind an executable line")
-        for name in declaration.arguments:
+        for declared in declaration.arguments:
+            # Without a blank, as in AUTO$s, the line has variables in place of names.
+            name = declared.name if isinstance(declared, Reference) else declared
             if declaration.word == "AUTO":
                 program.automatic.add(name)
             elif declaration.word == "LOCAL":

@@ -170,6 +170,7 @@ def test_a_reading_changes_how_and_binds_and_is_warned_of(shipped: Setup) -> Non
         (".END\nnonsense", [".END without a program", "'nonsense': outside of a program", ".END without a program"]),
         (".END\n.LOCATIONS\np 1 2 3\n.END\n.REALS\nx nan", ["3 numbers; accepted: 1, or 6", "'nan' is not"]),
         (".END\n.REALS\na[] 5\na[-1] 5\na[i] 5", ["5: 'a[-1] 5': '-1] 5' is not expected", "6: 'a[i] 5': 'i] 5'"]),
+        (".END\n.REALS\npi 3\ntime 5", ["4: 'pi 3': pi is a reserved word", "5: 'time 5': time is a reserved word"]),
         (".END\n.PROGRAM q(1)", ["3: '.PROGRAM q(1)': '1)' is not expected"]),
     ],
 )
@@ -178,6 +179,12 @@ def test_all_faults_of_a_file_are_found_with_their_lines(text: str, faults: list
     found = [f"{line}: {fault}" for line, fault in read(f".PROGRAM p()\n{text}\n.END\n", Memory()).faults]
     for fault in faults:
         assert any(fault in one for one in found), found
+
+
+def test_a_variable_declared_without_a_blank_is_the_programs_own(shipped: Setup) -> None:
+    """`AUTO$s` is `AUTO $s`: a program that is called does not see it."""
+    text = '.PROGRAM p()\nAUTO{}$s\n$s = "a"\nCALL q\n.END\n.PROGRAM q()\nTYPE DEFINED($s)\n.END\n'
+    assert [shown(run_program(shipped, memory_of(text.format(blank)))) for blank in ("", " ")] == 2 * [[" 0"]]
 
 
 @pytest.mark.parametrize(
