@@ -6,6 +6,7 @@ In both cases the same chunks of runs are computed.
 from __future__ import annotations
 
 import ctypes
+import gc
 import logging
 import multiprocessing as mp
 import os
@@ -175,6 +176,7 @@ _in_worker: list[Any] = []
 
 
 def _start_worker(sweep: Sweep, stop: Any) -> None:
+    gc.freeze()  # what the parent left lying may be threads' and rclpy's, which only the parent can delete
     _in_worker[:] = sweep, stop
     # Let the C library keep memory that is given back: the series of a run are fresh pages otherwise, an eighth of it.
     with suppress(OSError, AttributeError):  # other C libraries than glibc have none of it

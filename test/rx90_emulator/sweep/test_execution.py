@@ -86,6 +86,34 @@ def test_cluster_changes_nothing(
     assert_same(table_of(sweep, schema_of(sweep), outcomes), expected)
 
 
+class Ended:
+    """What only the process that made it may delete, as nodes of rclpy, whose threads a fork does not have."""
+
+    def __init__(self) -> None:
+        self.cycle = self
+        self.process = os.getpid()
+
+    def __del__(self) -> None:
+        if os.getpid() != self.process:
+            os._exit(1)
+
+
+def test_workers_leave_the_garbage_of_their_parent_alone(
+    tmp_path: Path, sweep: Sweep, expected: pa.Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What lay about when they were forked is not theirs to delete."""
+    warm_up = Sweep.warm_up
+
+    def leave_garbage(sweep: Sweep) -> None:
+        warm_up(sweep)
+        for _ in range(3):
+            Ended()
+
+    monkeypatch.setattr(Sweep, "warm_up", leave_garbage)
+    run_sweep(sweep, tmp_path / "out.parquet", workers=2, quiet=True)
+    assert_same(read_sweep(tmp_path / "out.parquet"), expected)
+
+
 def test_no_cluster(tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
     """An address where nobody answers, that is none, or has no workers, is refused in one line and leaves nothing."""
     monkeypatch.setattr(execution, "_CONNECT_TIMEOUT", 0.2)
