@@ -311,7 +311,7 @@ def _compliance(
     _masses(arms, np.zeros(1, body_dtype(n)), low + shares * (high - low), masses)
     try:
         with np.errstate(all="ignore"):  # what is not finite is refused
-            largest = np.abs(w @ np.linalg.solve(masses, w.T)).max(axis=0)
+            largest = np.abs(w @ np.linalg.solve(masses, w.T[None])).max(axis=0)
     except np.linalg.LinAlgError:
         largest = np.array(np.inf)
     if not np.isfinite(largest).all():

@@ -570,7 +570,7 @@ BOMBS = {
     "file.mcap.zstd": bomb_of_a_file,
     "chunk.bag": bomb_of_ros1,
     "lying.bag": lambda path: bomb_of_ros1(path, 1000),
-    "chunks.bag": lambda path: bomb_of_ros1(path, size=30 << 20, count=30),
+    "chunks.bag": lambda path: bomb_of_ros1(path, size=30 << 20, count=18),
     "chunks.mcap": lambda path: bomb_of_chunks(path, LARGE // 30, 30),
     "chunk.mcap": lambda path: bomb_of_chunks(path, LARGE),
     "endless.mcap": lambda path: bomb_of_chunks(path, 1 << 63),
