@@ -20,7 +20,7 @@ PROGRAM = """
   DECOMPOSE j[1] = #a
   TYPE (j[1] > 9.95) AND (j[1] < 10.05), SIG(3)
   SIGNAL -3, 7
-  DELAY 0.5
+  DELAY 10
 .END
 """
 

@@ -138,7 +138,7 @@ def _a_slider_moves_its_joint(shown: BrowserPage, panel: ControlPanel, states: l
     shown.wait_until(lambda: bool(abs(np.degrees(states[-1].position[0]) - asked) < 0.02), "joint 1 at its slider")
     np.testing.assert_allclose(np.degrees(states[-1].position)[1:], before[1:], atol=0.05)
     ((slider, *_),) = panel._sliders.values()
-    assert slider.value == asked
+    wait_until(lambda: bool(slider.value == asked), "the slider where its joint is")
 
 
 def _a_stranger_does_not(page: Page, panel: ControlPanel, states: list[JointSample]) -> None:
