@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from processes import Processes
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_client import Client
 from std_msgs.msg import Int32MultiArray
 
@@ -20,7 +21,7 @@ PROGRAM = """
   DECOMPOSE j[1] = #a
   TYPE (j[1] > 9.95) AND (j[1] < 10.05), SIG(3)
   SIGNAL -3, 7
-  DELAY 10
+  DELAY 3
 .END
 """
 
@@ -28,7 +29,8 @@ PROGRAM = """
 def test_a_program_moves_the_arm_of_running_nodes(processes: Processes, client: Client, tmp_path: Path) -> None:
     """The measured joint is where the program drove it; the outputs that are on are heard, by who comes late, too."""
     (tmp_path / "p.v2").write_text(PROGRAM)
-    heard = client.listen("rx90_program/outputs", Int32MultiArray)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    heard = client.listen("rx90_program/outputs", Int32MultiArray, latched)
     processes.start("rx90_cell")
     program = processes.start("rx90 program nodes", tmp_path / "p.v2")
     client.spin_until(lambda: [7] in [list(message.data) for message in heard], "the last output")
