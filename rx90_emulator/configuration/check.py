@@ -144,18 +144,20 @@ def _check_urdf(path: Path) -> CheckedFile:
 
 def _faults_together(files: RobotFiles) -> list[Rx90Error]:
     """Return what is wrong with files of a robot, each right alone, that others decide."""
-    faults = _faults_of(lambda: Setup.load(files).plant())
-    if faults:
-        return faults
-    setup = Setup.load(files)
+    try:
+        setup = Setup.load(files)
+        setup.plant()
+    except Rx90Error as refused:
+        return [refused]
+    faults: list[Rx90Error] = []
     task = files.task
     if task is not None:
-        refused = _faults_of(lambda: plan_path(setup, load_task(task)))
-        faults += [ConfigError(f"{plain(task)}: {error}") for error in refused]
+        found = _faults_of(lambda: plan_path(setup, load_task(task)))
+        faults += [ConfigError(f"{plain(task)}: {error}") for error in found]
     poses = files.poses
     if poses is not None:
-        refused = _faults_of(lambda: Poses.load(poses).check(setup.robot))
-        faults += [ConfigError(f"{plain(poses)}: {error}") for error in refused]
+        found = _faults_of(lambda: Poses.load(poses).check(setup.robot))
+        faults += [ConfigError(f"{plain(poses)}: {error}") for error in found]
     return faults
 
 
