@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache
+from io import StringIO
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,6 +14,7 @@ from lark.exceptions import LarkError, UnexpectedInput
 
 from rx90_common.base.errors import ConfigError, warn_caller
 from rx90_common.base.quoting import plain, quoted
+from rx90_common.base.text_lines import read_bytes
 from rx90_emulator.vplus.functions import FUNCTIONS, number_of
 from rx90_emulator.vplus.instructions import INSTRUCTIONS, REFUSED
 from rx90_emulator.vplus.transformations import trans
@@ -218,14 +220,8 @@ def load_programs(place: Path | str, readings: Readings | None = None) -> Memory
     faults: list[str] = []
     warnings: list[str] = []
     for file in _files(Path(place)):
-        try:
-            if file.stat().st_size > _LARGEST_FILE:
-                raise ConfigError(
-                    f"{plain(file)}: more than {_LARGEST_FILE:,} bytes; accepted: a file of V+"
-                )
-            reader = read(file.read_text(encoding="latin-1"), memory)
-        except OSError as error:
-            raise ConfigError(f"{plain(file)}: {error.strerror}; accepted: a file of V+") from error
+        content = read_bytes(file, _LARGEST_FILE).decode("latin-1")
+        reader = read(StringIO(content, newline=None).read(), memory)
         faults += [f"{plain(file)}:{line}: {fault}" for line, fault in reader.faults]
         warnings += [f"{plain(file)}:{line}: {warning}" for line, warning in reader.warnings]
     faults += [f"{plain(place)}: {fault}" for fault in _call_faults(memory)]
