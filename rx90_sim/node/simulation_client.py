@@ -79,23 +79,29 @@ class EffortController:
     ):
         self._controller = controller
         self._names = names
+        self._received: list[str] = []
+        self._order = np.arange(len(names))
         self.time: float | None = None
         self._commands = node.create_publisher(JointState, JOINT_COMMANDS, _DEPTH)
         self._states = node.create_subscription(
             JointState, MEASURED_JOINT_STATES, self._answer, _DEPTH
         )
 
-    def _answer(self, states: Any) -> None:
-        if sorted(states.name) != sorted(self._names):
-            received = ", ".join(states.name)
+    def _find_order(self, received: list[str]) -> None:
+        if sorted(received) != sorted(self._names):
             raise ExchangeError(
-                f"{self._states.topic_name} has {received}; accepted: {', '.join(self._names)}"
+                f"{self._states.topic_name} has {', '.join(received)}; accepted: {', '.join(self._names)}"
             )
-        order = [states.name.index(name) for name in self._names]
+        self._received = list(received)
+        self._order = np.array([received.index(name) for name in self._names])
+
+    def _answer(self, states: Any) -> None:
+        if states.name != self._received:  # the order is found once: this runs in each tick
+            self._find_order(states.name)
         stamp = states.header.stamp
         self.time = stamp.sec + stamp.nanosec * 1e-9
-        position = np.array(states.position)[order]
-        velocity = np.array(states.velocity)[order]
+        position = np.array(states.position)[self._order]
+        velocity = np.array(states.velocity)[self._order]
         effort = self._controller(position, velocity, self.time)
         command = JointState(name=self._names)
         command.header.stamp = stamp
