@@ -7,6 +7,9 @@ blocks (the one-standard-error rule of Breiman et al. 1984). A combination with 
 whose omega_s is near the top speed is a slope, which the viscous exponent has as well: it stays only where friction
 falls with speed.
 
+The viscous exponent is that of the lubricant, which all gears of an arm share: where it helps all elements together by
+that rule, an element gets it if its own squares fall at all.
+
 A bristle acts after a reversal, as a rise does, and each alone imitates the other: it is tried last, where a rise was
 found.
 
@@ -56,6 +59,7 @@ class Trial:
         gain: by which the held-out RMS error of the element's rows falls, as a share of it.
         deviation: standard error of the gain.
         bound: the name of a parameter that ended at a bound; "" if none did.
+        shared: whether the part is the exponent, and all elements together gain more by it than by chance.
     """
 
     element: int
@@ -63,11 +67,13 @@ class Trial:
     gain: float
     deviation: float
     bound: str = ""
+    shared: bool = False
 
     @property
     def kept(self) -> bool:
         """Return whether the element keeps the part."""
-        return bool(self.gain > STANDARD_ERRORS * self.deviation and not self.bound)
+        least = 0.0 if self.shared else STANDARD_ERRORS * self.deviation
+        return bool(self.gain > least and not self.bound)
 
     @property
     def reason(self) -> str:
@@ -198,7 +204,10 @@ def _trial(rows: FrictionRows, number: int, part: Part, before: _Fitted, after: 
     element_rows = rows.elements[number].rows
     squares = before.squares[element_rows], after.squares[element_rows]
     gain, deviation = held_out_gain(rows.block[element_rows], *squares)
-    return Trial(number, part, gain, deviation, after.bound(number))
+    total, error = held_out_gain(rows.block, before.squares, after.squares)
+    lubricant = after.parts - before.parts == {Part.EXPONENT}
+    shared = lubricant and total > STANDARD_ERRORS * error
+    return Trial(number, part, gain, deviation, after.bound(number), shared)
 
 
 def _with_bristles(rows: FrictionRows, choice: Choice, tried: Sequence[int]) -> Choice:

@@ -42,7 +42,7 @@ RELAXATION = 1e-3
 """s, c1 over c0 where no c1 is known, as there."""
 ASSUMED = "no file: bristles that break away after 0.25 mrad are assumed, and the least Coulomb torque of the others"
 """Source, in words, of values that are not identified, without a fallback."""
-_PART_OF = {
+PART_OF = {
     "tau_s_positive": Part.STRIBECK,
     "tau_s_negative": Part.STRIBECK,
     "omega_s": Part.STRIBECK,
@@ -51,6 +51,7 @@ _PART_OF = {
     "c0": Part.BRISTLE,
     "c1": Part.BRISTLE,
 }
+"""The part that each parameter belongs to."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +131,7 @@ class FittedArm:
             )
         for name in PARAMETERS:
             if name not in estimates:
-                estimates[name] = ParameterEstimate.unknown(self._missing(number, _PART_OF[name]))
+                estimates[name] = ParameterEstimate.unknown(self._missing(number, PART_OF[name]))
         return {name: estimates[name] for name in PARAMETERS}
 
     def _missing(self, number: int, part: Part) -> str:
@@ -153,7 +154,7 @@ def _reason(name: str, value: float, deviation: float, *, determined: bool) -> s
     if not determined:
         return "the runs do not determine it"
     if (
-        name in _PART_OF
+        name in PART_OF
         and not name.startswith("tau")
         and deviation > MOST_RELATIVE_DEVIATION * value
     ):

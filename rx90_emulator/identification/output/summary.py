@@ -16,6 +16,7 @@ from rx90_emulator.identification.estimates import (
     IdentifiedElement,
     ParameterEstimate,
 )
+from rx90_emulator.identification.fitted import PART_OF
 from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.result import (
     ExcitationIdentification,
@@ -194,17 +195,21 @@ def in_currents(result: Identification) -> list[str]:
 
 def kept_parts(result: ExcitationIdentification) -> str:
     """Return in words the parts of the selected friction, and which elements have them."""
-    names = result.arm.element_names
     texts = ["Coulomb + viscous"]
+    remark = ""
     for part in Part:
-        having = [
-            name for name, law in zip(names, result.fitted.laws, strict=True) if part in law.parts
-        ]
+        parameters = [name for name, owner in PART_OF.items() if owner is part]
+        having = []
+        for name, law, found in zip(
+            result.arm.element_names, result.fitted.laws, result.elements, strict=True
+        ):
+            if part in law.parts:
+                known = all(found.estimates[parameter].identifiable for parameter in parameters)
+                having.append(name if known else f"{name}*")
+                remark = remark if known else "; * fits better so, but its parameters stay open"
         if having:
-            texts.append(
-                f"{part.value}: {'all' if len(having) == len(names) else ', '.join(having)}"
-            )
-    return " + ".join(texts)
+            texts.append(f"{part.value}: {', '.join(having)}")
+    return " + ".join(texts) + remark
 
 
 def bodies_warnings(result: ExcitationIdentification) -> list[str]:

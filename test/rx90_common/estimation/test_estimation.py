@@ -221,3 +221,13 @@ def test_each_element_gets_the_parts_that_it_has() -> None:
         fitted = law.element(chosen.fit.x[place : place + len(law.names)], {"c0": 1e5, "c1": 1.0})
         np.testing.assert_allclose(fitted.steady_torque(SPEEDS), truth.steady_torque(SPEEDS), rtol=0.02, atol=0.01)
         place += len(law.names)
+
+
+@pytest.mark.parametrize("seed", [2, 7, 8])
+def test_evidence_for_an_exponent_is_that_of_the_whole_arm(seed: int) -> None:
+    """Little shows in an element that has it; it gets it beside others that have it, but not beside others without."""
+    weak = element(tau_s=5.0, c2=0.1, alpha=0.6)
+    for alpha, expected in ((0.6, frozenset({Part.EXPONENT})), (1.0, frozenset())):
+        strong = element(tau_s=5.0, alpha=alpha)
+        rows = sweeps([strong, strong, weak], seed, noise=0.01, common=0.02)
+        assert choose(rows, [Part.EXPONENT], [Law()] * 3).laws[2].parts == expected
