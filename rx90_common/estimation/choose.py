@@ -80,7 +80,11 @@ class Trial:
         """Return why it does or does not, in words."""
         if self.bound:
             return f"{self.bound} ends at a bound"
-        return f"left-out error {100.0 * self.gain:.2g} % less, with a standard error of {100.0 * self.deviation:.2g} %"
+        together = "; clear for all elements together" if self.shared else ""
+        return (
+            f"left-out error {100.0 * self.gain:.2g} % less, with a standard error of "
+            f"{100.0 * self.deviation:.2g} %{together}"
+        )
 
 
 @dataclass(frozen=True, eq=False)
