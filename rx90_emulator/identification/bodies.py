@@ -340,8 +340,8 @@ class BaseEstimate:
         white = np.diag(np.linalg.pinv(columns.T @ columns, hermitian=True))[base]
         known = fitted.determined[base]
         share = float(np.median((white / variance)[known])) if known.any() else 1.0
-        information = np.asarray(root * math.sqrt(min(1.0, share)))
-        return cls(problem.base.combination, fitted.fit.linear, information, known)
+        root *= math.sqrt(min(1.0, share))
+        return cls(problem.base.combination, fitted.fit.linear, root, known)
 
 
 @dataclass(frozen=True, eq=False)
@@ -464,9 +464,8 @@ def consistent_inertias(
         weight: of the prior's squares.
     """
     if not estimate.determined.any():
-        count = len(estimate.determined)
         raise IdentificationError(
-            f"none of {count} base parameters is determined; accepted: runs that determine some"
+            "no base parameter is determined; accepted: runs that determine some"
         )
     bodies = _Bodies(prior, estimate.mapping.shape[1])
     whitened = estimate.information @ estimate.mapping
@@ -597,11 +596,10 @@ def make_consistent(
         description, arm.names, rotors, arm.spring[problem.columns.springs], known
     )
     inertias = consistent_inertias(BaseEstimate.of(problem, fitted), prior)
-    residual = fitted.fit.residual
-    size = float(np.linalg.norm(problem.torque))
-    before = float(np.linalg.norm(residual)) / size
-    after = float(np.linalg.norm(residual - problem.regressor @ inertias.shift)) / size
-    return Consistency(inertias, (before, after))
+    before = fitted.fit.residual
+    after = before - problem.regressor @ inertias.shift
+    shares = np.linalg.norm([before, after], axis=1) / np.linalg.norm(problem.torque)
+    return Consistency(inertias, (float(shares[0]), float(shares[1])))
 
 
 def written_arm(problem: ExcitationProblem, consistency: Consistency) -> RigidArm:

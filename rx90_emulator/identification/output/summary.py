@@ -194,22 +194,20 @@ def in_currents(result: Identification) -> list[str]:
 
 
 def kept_parts(result: ExcitationIdentification) -> str:
-    """Return in words the parts of the selected friction, and which elements have them."""
+    """Return in words the parts of the selected friction, and which elements have them; * where values stay open."""
     texts = ["Coulomb + viscous"]
-    remark = ""
+    elements = [*zip(result.arm.element_names, result.fitted.laws, result.elements, strict=True)]
     for part in Part:
-        parameters = [name for name, owner in PART_OF.items() if owner is part]
-        having = []
-        for name, law, found in zip(
-            result.arm.element_names, result.fitted.laws, result.elements, strict=True
-        ):
-            if part in law.parts:
-                known = all(found.estimates[parameter].identifiable for parameter in parameters)
-                having.append(name if known else f"{name}*")
-                remark = remark if known else "; * fits better so, but its parameters stay open"
+        values = [name for name, owner in PART_OF.items() if owner is part]
+        having = [
+            name if all(element.estimates[value].identifiable for value in values) else f"{name}*"
+            for name, law, element in elements
+            if part in law.parts
+        ]
         if having:
             texts.append(f"{part.value}: {', '.join(having)}")
-    return " + ".join(texts) + remark
+    text = " + ".join(texts)
+    return f"{text}; * fits better so, but its parameters stay open" if "*" in text else text
 
 
 def bodies_warnings(result: ExcitationIdentification) -> list[str]:
