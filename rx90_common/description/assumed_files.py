@@ -18,6 +18,7 @@ import pinocchio as pin
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.robot import RobotModel
+from rx90_common.rigid_torque import configurations
 
 _POSES: Final = 200
 _GEAR = 100.0
@@ -128,8 +129,9 @@ def _inertias(
     data = model.createData()
     back = turning.joint_turns
     masses = []
-    for share in np.random.default_rng(0).uniform(size=(_POSES, len(rotors))):
-        upper = np.triu(pin.crba(model, data, robot.lower + share * (robot.upper - robot.lower)))
+    shares = np.random.default_rng(0).uniform(size=(_POSES, len(rotors)))
+    for pose in configurations(model, robot.lower + shares * (robot.upper - robot.lower)):
+        upper = np.triu(pin.crba(model, data, pose))
         masses.append(back.T @ (upper + np.triu(upper, 1).T) @ back + np.diag(rotors))
     inverses = np.linalg.inv(masses)
     mean = np.mean(np.diagonal(masses, axis1=1, axis2=2), axis=0)
