@@ -7,8 +7,9 @@ blocks (the one-standard-error rule of Breiman et al. 1984). A combination with 
 whose omega_s is near the top speed is a slope, which the viscous exponent has as well: it stays only where friction
 falls with speed.
 
-The viscous exponent is that of the lubricant, which all gears of an arm share: where it helps all elements together by
-that rule, an element gets it if its own squares fall at all.
+Rise and exponent imitate each other: both at once need two standard errors. An exponent alone is that of the lubricant,
+which all gears of an arm share: where it helps all elements together by the rule, an element gets it if its own squares
+fall at all.
 
 A bristle acts after a reversal, as a rise does, and each alone imitates the other: it is tried last, where a rise was
 found.
@@ -36,6 +37,8 @@ STEEP = 0.25
 """Of the top speed: omega_s up to which a rise is one, and no slope over the whole range of speeds."""
 STANDARD_ERRORS = 1.0
 """Of a gain, that it must exceed. With two, sweeps of few plateaus lose rises that they have."""
+BOTH_ERRORS = 2.0
+"""The same for a rise and an exponent together, which imitate each other."""
 MOST_FOLDS = 20
 """Blocks are joined to so many folds at most."""
 
@@ -59,7 +62,7 @@ class Trial:
         gain: by which the held-out RMS error of the element's rows falls, as a share of it.
         deviation: standard error of the gain.
         bound: the name of a parameter that ended at a bound; "" if none did.
-        shared: whether the part is the exponent, and all elements together gain more by it than by chance.
+        errors: how many of these the gain must exceed; 0 for an exponent by which all elements together gain enough.
     """
 
     element: int
@@ -67,20 +70,19 @@ class Trial:
     gain: float
     deviation: float
     bound: str = ""
-    shared: bool = False
+    errors: float = STANDARD_ERRORS
 
     @property
     def kept(self) -> bool:
         """Return whether the element keeps the part."""
-        least = 0.0 if self.shared else STANDARD_ERRORS * self.deviation
-        return bool(self.gain > least and not self.bound)
+        return bool(self.gain > self.errors * self.deviation and not self.bound)
 
     @property
     def reason(self) -> str:
         """Return why it does or does not, in words."""
         if self.bound:
             return f"{self.bound} ends at a bound"
-        together = "; clear for all elements together" if self.shared else ""
+        together = "" if self.errors else "; clear for all elements together"
         return (
             f"left-out error {100.0 * self.gain:.2g} % less, with a standard error of "
             f"{100.0 * self.deviation:.2g} %{together}"
@@ -208,10 +210,13 @@ def _trial(rows: FrictionRows, number: int, part: Part, before: _Fitted, after: 
     element_rows = rows.elements[number].rows
     squares = before.squares[element_rows], after.squares[element_rows]
     gain, deviation = held_out_gain(rows.block[element_rows], *squares)
-    total, error = held_out_gain(rows.block, before.squares, after.squares)
-    lubricant = after.parts - before.parts == {Part.EXPONENT}
-    shared = lubricant and total > STANDARD_ERRORS * error
-    return Trial(number, part, gain, deviation, after.bound(number), shared)
+    errors = STANDARD_ERRORS
+    if after.laws[number].parts >= {Part.STRIBECK, Part.EXPONENT}:
+        errors = BOTH_ERRORS
+    elif after.parts - before.parts == {Part.EXPONENT}:
+        total, error = held_out_gain(rows.block, before.squares, after.squares)
+        errors = 0.0 if total > STANDARD_ERRORS * error else STANDARD_ERRORS
+    return Trial(number, part, gain, deviation, after.bound(number), errors)
 
 
 def _with_bristles(rows: FrictionRows, choice: Choice, tried: Sequence[int]) -> Choice:
