@@ -231,3 +231,11 @@ def test_evidence_for_an_exponent_is_that_of_the_whole_arm(seed: int) -> None:
         strong = element(tau_s=5.0, alpha=alpha)
         rows = sweeps([strong, strong, weak], seed, noise=0.01, common=0.02)
         assert choose(rows, [Part.EXPONENT], [Law()] * 3).laws[2].parts == expected
+
+
+@pytest.mark.parametrize("seed", [2, 3, 16, 23])
+def test_a_rise_does_not_stand_in_for_an_exponent(seed: int) -> None:
+    """Elements with an exponent and common errors of plateaus, on which a rise imitates it, get no rise."""
+    rows = sweeps([element(tau_s=5.0, alpha=0.7)] * 3, seed, noise=0.01, common=0.05, blocks=3)
+    chosen = choose(rows, [Part.STRIBECK, Part.EXPONENT], [Law()] * 3)
+    assert not any(Part.STRIBECK in law.parts for law in chosen.laws)

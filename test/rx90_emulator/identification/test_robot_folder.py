@@ -17,10 +17,14 @@ import pinocchio as pin
 import pytest
 import yaml
 from foreign_arms import urdf_text
+from grip_arm import JOINTS, write_urdf
 from numpy.typing import NDArray
 from schema_faults import schema_faults
 
 from rx90_common.base.errors import Rx90Error
+from rx90_common.description.assumed_files import assumed_files
+from rx90_common.description.coupling import Coupling
+from rx90_common.description.joint_model import joint_model, robot_of_urdf
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.friction import FrictionElement
 from rx90_controller.trajectory import TrajectoryPoints
@@ -252,6 +256,25 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     assert rest_of(texts["robot.urdf"]) == rest_of(urdf)
     assert '<!-- kept --><link name="bare" />' in texts["robot.urdf"]
     assert "recorded 20" in texts["robot.urdf"].partition("<link")[0]
+
+
+def test_a_joint_that_turns_without_end_changes_no_assumed_value(tmp_path: Path) -> None:
+    """Drives and controller are those of the same arm whose joint turns by half a turn either way."""
+    file = write_urdf(tmp_path, continuous=True)
+    tree = ET.parse(file)
+    endless = tree.find(f"joint[@name='{JOINTS[6]}']")
+    assert endless is not None
+    limit = endless.find("limit")
+    assert limit is not None
+    found = []
+    for kind in ("continuous", "revolute"):
+        endless.set("type", kind)
+        tree.write(file)
+        robot = robot_of_urdf(file, JOINTS)
+        found.append(assumed_files(robot, joint_model(file, JOINTS), Coupling(np.eye(7)), np.full(7, 0.1), {}))
+        limit.set("lower", str(-math.pi))
+        limit.set("upper", str(math.pi))
+    assert found[0] == found[1]
 
 
 def rest_of(urdf: str) -> str:
