@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 from contextlib import closing
 from pathlib import Path
 
@@ -12,12 +13,13 @@ import pytest
 import yaml
 from pinocchio_chain import tip_pose
 from processes import Processes
-from ros_client import Client
+from ros_client import Client, seconds
 from schema_faults import schema_faults
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.share import config_path
+from rx90_common.exchange.endpoints import ros_time
 from rx90_controller.lines.plan import Approach, plan_line
 from rx90_controller.lines.task import load_task
 from rx90_emulator.cli.frame import run
@@ -138,3 +140,41 @@ def test_an_approach_comes_first_where_the_arm_stands_elsewhere(shipped: Setup, 
     assert not np.any(first.velocities)
     delay = first.time_from_start.sec + 1e-9 * first.time_from_start.nanosec
     assert 0.0 <= delay - Approach().duration(shipped.robot, here, plan.start_pose) < 1e-3
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("end", ["arrives", "stays", "interrupted"])
+def test_the_command_ends_when_the_arm_has_arrived(shipped: Setup, processes: Processes, end: str) -> None:
+    """Not before the motion's end in the arm's time; where the arm does not come, 5 s later; Ctrl-C ends it at once."""
+    plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
+    state = JointState(name=shipped.robot.joint_names, position=plan.start_pose.tolist())
+    with closing(Client()) as client:
+        name = client.node.get_name()
+        taken = client.listen(f"{name}/joint_trajectory", JointTrajectory)
+        states = client.node.create_publisher(JointState, "joint_states", 10)
+        begun: list[float] = []  # time when the trajectory came
+
+        def publish() -> None:
+            now = seconds(state) + 0.02
+            state.header.stamp = ros_time(round(now * 1e9))
+            if taken and not begun:
+                begun.append(now)
+            if begun and now > begun[0] + plan.duration and end == "arrives":
+                state.position = plan.position[-1].tolist()
+            states.publish(state)
+
+        client.node.create_timer(0.02, publish)
+        sender = processes.start("rx90 line", REFERENCE, "--node", name)
+        client.spin_until(lambda: bool(taken), "the trajectory")
+        if end == "interrupted":
+            client.spin_until(lambda: seconds(state) > begun[0] + 2.5, "the wait for the end")
+            sender.signal(signal.SIGINT)
+        client.spin_until(lambda: sender.returncode is not None, "the end of the command")
+    code, said, after = {
+        "arrives": (0, "arrived: the motion ended at ", plan.duration),
+        "stays": (3, "rad from the trajectory's end, 5 s after it", plan.duration + 5.0),
+        "interrupted": (130, "interrupted; the controller goes on with the motion", 2.5),
+    }[end]
+    assert sender.returncode == code
+    assert said in sender.output
+    assert -0.2 < seconds(state) - begun[0] - after < 1.5
