@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.description.kinematics import Pose, forward, polyline_error, tip_position
 from rx90_common.description.robot import RobotModel
@@ -46,6 +46,10 @@ class PathAccuracy:
     perpendicular: Array
     along_track: Array
     orientation: Array
+
+    def take(self, rows: Mask) -> PathAccuracy:
+        """Return those of some of the times."""
+        return PathAccuracy(**{name: values[rows] for name, values in vars(self).items()})
 
     @property
     def worst(self) -> float:
