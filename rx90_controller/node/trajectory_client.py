@@ -36,7 +36,6 @@ from rx90_common.exchange.topics import (
     TRAJECTORY_ACCEPTED,
 )
 from rx90_controller.lines.plan import Approach, LinePlan, approached
-from rx90_controller.node.followed import FollowedTrajectory
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.points import (
@@ -47,6 +46,7 @@ from rx90_controller.trajectory.points import (
 
 _SETTLED = 1.2  # s without a change among those that listen; each participant announces itself every second, config/dds
 _NEXT_SAMPLE = 1.5  # s; at the slowest real_time_factor the samples of a simulation that runs come every second
+_PATIENCE = 5.0  # s of the wall clock, until an arm is at its place after a trajectory has ended
 _ENDS = ("trajectory rejected", "trajectory aborted", "trajectory dropped", "stopped at")
 """How a controller's line begins that says that a trajectory does not come to its end."""
 
@@ -251,6 +251,8 @@ class TrajectoryClient:
     ) -> float:
         """Wait until the arm is at the end of the trajectory that was sent to start now; return when that was due, s.
 
+        It begins when the controller says, else now.
+
         Args:
             points: the trajectory.
             samples: of the arm or of its set-points.
@@ -260,18 +262,40 @@ class TrajectoryClient:
         Raises:
             ExchangeError: if the controller refuses it or does not run it to its end, or time stands still.
         """
-        run = FollowedTrajectory(points, tolerance, self._client.timeout)
-        while not run.done:
+        duration = float(points.times[-1])
+        begin = samples.time
+        newest = begin
+        came = time.monotonic()
+        ended = came
+        while True:
             if self._fault:
                 raise ExchangeError(f"{self._controller}: {self._fault}")
             if self._began is not None:
-                run.began(self._began)
-            run.see(samples.time, samples.position, time.monotonic())
-            show(run.elapsed, float(points.times[-1]))
+                begin = self._began
+            clock = time.monotonic()
+            if samples.time > newest:
+                newest = samples.time
+                came = clock
+            elif clock > came + self._client.timeout:
+                raise ExchangeError(
+                    f"the arm's time stood still at {newest:.3f} s for {self._client.timeout:g} s"
+                )
+            passed = newest - begin
+            show(min(max(0.0, passed), duration), duration)
+            if passed <= duration + POLL:
+                ended = clock
+            else:
+                gap = float(np.abs(samples.position - points.position[-1]).max())
+                if gap <= tolerance:
+                    return begin + duration
+                if clock > ended + _PATIENCE:
+                    raise ExchangeError(
+                        f"a joint is {gap:.4f} rad from the trajectory's end, {_PATIENCE:g} s after it was due, "
+                        "because it was slowed down, stopped or replaced: the controller's terminal says which"
+                    )
             self._client.spin()
             # the newest message suffices; in between the processor is left to the nodes
             time.sleep(POLL / 2.0)
-        return run.end
 
     def _confirm(self, publisher: Publisher, what: str) -> None:
         deadline = time.monotonic() + self._client.timeout

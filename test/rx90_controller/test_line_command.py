@@ -125,7 +125,7 @@ def test_a_controller_that_comes_later_gets_the_whole_trajectory(shipped: Setup,
     ("end", "code", "said"),
     [
         ("arrives", 0, "arrived: the motion ended at "),
-        ("stays", 3, "rad from the trajectory's end, 5 s after it"),
+        ("stays", 3, "rad from the trajectory's end, 5 s after it was due"),
         ("interrupted", 130, "interrupted; the controller goes on with the motion"),
     ],
 )

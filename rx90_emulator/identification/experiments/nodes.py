@@ -26,7 +26,6 @@ from rx90_emulator.identification.experiments.plan import TOPICS, Experiment, wr
 from rx90_emulator.loop.setup import Setup
 
 _ATTEMPTS = 3  # of an experiment whose recorder loses messages
-
 _AT_REST = 1e-6  # rad, from a set-point to the end of the trajectory
 _APPROACH_SPEED = 0.25
 _APPROACH_ACCELERATION = 2.0
