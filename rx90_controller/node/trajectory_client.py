@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from builtin_interfaces.msg import Duration
@@ -19,10 +20,21 @@ from rx90_common.base.errors import ExchangeError
 from rx90_common.base.quoting import counted
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange import endpoints
-from rx90_common.exchange.client_node import POLL, ClientNode, ServiceRequest, spoken
+from rx90_common.exchange.client_node import (
+    POLL,
+    ClientNode,
+    ServiceRequest,
+    spoken,
+    subscribe_log,
+)
 from rx90_common.exchange.endpoints import ros_time
 from rx90_common.exchange.ros_start import controller_topic
-from rx90_common.exchange.topics import COMMANDED_CORRECTION, COMMANDED_TRAJECTORY, CORRECTED
+from rx90_common.exchange.topics import (
+    COMMANDED_CORRECTION,
+    COMMANDED_TRAJECTORY,
+    CORRECTED,
+    TRAJECTORY_ACCEPTED,
+)
 from rx90_controller.lines.plan import Approach, LinePlan, approached
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
@@ -34,6 +46,12 @@ from rx90_controller.trajectory.points import (
 
 _SETTLED = 1.2  # s without a change among those that listen; each participant announces itself every second, config/dds
 _NEXT_SAMPLE = 1.5  # s; at the slowest real_time_factor the samples of a simulation that runs come every second
+_PATIENCE = 5.0  # s of the wall clock, until an arm is at its place after a trajectory has ended
+_ENDS = ("trajectory rejected", "trajectory aborted", "trajectory dropped", "stopped at")
+"""How a controller's line begins that says that a trajectory does not come to its end."""
+
+Show = Callable[[float, float], object]
+"""Called with the part of a trajectory's duration that has passed, and its duration, s."""
 
 
 class NewestPositions:
@@ -81,9 +99,24 @@ class TrajectoryClient:
         self._client = client
         self._controller = controller
         self._publisher = client.node.create_publisher(JointTrajectory, self.topic, 1)
-        corrections = self.topic.removesuffix(COMMANDED_TRAJECTORY) + COMMANDED_CORRECTION
-        self._corrections = client.node.create_publisher(JointTrajectory, corrections, 1)
+        private = self.topic.removesuffix(COMMANDED_TRAJECTORY)
+        self._corrections = client.node.create_publisher(
+            JointTrajectory, private + COMMANDED_CORRECTION, 1
+        )
         self._arm: NewestPositions | None = None
+        self._began: float | None = None  # as the controller says, s
+        self._fault = ""
+        client.node.create_subscription(
+            JointTrajectory, private + TRAJECTORY_ACCEPTED, self._take_start, 1
+        )
+        subscribe_log(client, [controller], self._take_line)
+
+    def _take_start(self, accepted: JointTrajectory) -> None:
+        self._began = message_time_ns(accepted.header.stamp) / NANOSECONDS
+
+    def _take_line(self, _node: str, line: str, _wrong: bool) -> None:
+        if line.startswith(_ENDS):
+            self._fault = line
 
     def wait_for_controller(self, starting: float = 0.0) -> None:
         """Wait until the controller will receive messages.
@@ -193,6 +226,8 @@ class TrajectoryClient:
             ExchangeError: if that is not confirmed within the client's timeout.
         """
         self._settle()
+        self._began = None
+        self._fault = ""
         message = trajectory_message(names, points, start_time)
         if correction is not None:
             message.header.frame_id = CORRECTED
@@ -206,6 +241,61 @@ class TrajectoryClient:
             self._confirm(self._corrections, "correction")
         self._publisher.publish(message)
         self._confirm(self._publisher, "trajectory")
+
+    def wait_for_end(
+        self,
+        points: TrajectoryPoints,
+        samples: NewestPositions,
+        tolerance: float,
+        show: Show,
+    ) -> float:
+        """Wait until the arm is at the end of the trajectory that was sent to start now; return when that was due, s.
+
+        It begins when the controller says, else now.
+
+        Args:
+            points: the trajectory.
+            samples: of the arm or of its set-points.
+            tolerance: how far from its last point they may be when it has ended, rad.
+            show: called again and again.
+
+        Raises:
+            ExchangeError: if the controller refuses it or does not run it to its end, or time stands still.
+        """
+        duration = float(points.times[-1])
+        begin = samples.time
+        newest = begin
+        came = time.monotonic()
+        ended = came
+        while True:
+            if self._fault:
+                raise ExchangeError(f"{self._controller}: {self._fault}")
+            if self._began is not None:
+                begin = self._began
+            clock = time.monotonic()
+            if samples.time > newest:
+                newest = samples.time
+                came = clock
+            elif clock > came + self._client.timeout:
+                raise ExchangeError(
+                    f"the arm's time stood still at {newest:.3f} s for {self._client.timeout:g} s"
+                )
+            passed = newest - begin
+            show(min(max(0.0, passed), duration), duration)
+            if passed <= duration + POLL:
+                ended = clock
+            else:
+                gap = float(np.abs(samples.position - points.position[-1]).max())
+                if gap <= tolerance:
+                    return begin + duration
+                if clock > ended + _PATIENCE:
+                    raise ExchangeError(
+                        f"a joint is {gap:.4f} rad from the trajectory's end, {_PATIENCE:g} s after it was due, "
+                        "because it was slowed down, stopped or replaced: the controller's terminal says which"
+                    )
+            self._client.spin()
+            # the newest message suffices; in between the processor is left to the nodes
+            time.sleep(POLL / 2.0)
 
     def _confirm(self, publisher: Publisher, what: str) -> None:
         deadline = time.monotonic() + self._client.timeout
@@ -260,8 +350,10 @@ def deliver(
     start_time: float = 0.0,
     correction: Correction | None = None,
     starting: float = 0.0,
-) -> None:
-    """Wait for the controller, send it the line, and print what was sent.
+) -> Callable[[Show], float] | None:
+    """Wait for the controller, send it the line, print what was sent, and return what waits for its end.
+
+    That is None where the end is not known: for a later start, or while time stands still.
 
     Args:
         client: the node to do it with.
@@ -281,8 +373,10 @@ def deliver(
     trajectory = TrajectoryClient(client, controller)
     trajectory.wait_for_controller(starting)
     here = plan.start_pose
+    arm: NewestPositions | None = None
     if approach is not None or start_time <= 0.0:
-        here = trajectory.arm(plan.joint_names).position
+        arm = trajectory.arm(plan.joint_names)
+        here = arm.position
     # else: where the arm will be by then is not known here; the controller checks it
     line = approached(plan, here, limits, set_point_period, approach)
     if line.approach > 0.0:
@@ -300,3 +394,6 @@ def deliver(
         client.say(
             f"the simulation's time stands still at {standing:.6g} s: the arm moves when it runs on"
         )
+    if arm is None or start_time > 0.0 or standing is not None:
+        return None
+    return partial(trajectory.wait_for_end, line.points, arm, limits.start_tolerance)

@@ -194,11 +194,13 @@ def _path(args: argparse.Namespace) -> None:
 
     files = RobotFiles.of_options(args)
     robot = load_robot(files.urdf, files.tool)
+    signals = _signals(args)
     for bag in args.bags:
-        accuracy = recorded_accuracy(bag, robot, files, args.signals)
-        print(
-            f"{plain(bag)}: {accuracy.words if accuracy else 'no path error: it holds no set-points'}"
-        )
+        words = [part.words for part in recorded_accuracy(bag, robot, files, args.signals)]
+        words[1:] = [f"approach: {part}" for part in words[1:]]
+        for line in words or ["no path error: it holds no set-points"]:
+            print(f"{plain(bag)}: {line}")
+        _say_cut(bag, signals)
 
 
 def alignment(text: str) -> int | str:
@@ -324,6 +326,16 @@ def _info(options: argparse.Namespace) -> None:
 
     summary = summarise(options.bag, _signals(options))
     print(summary_json(summary) if options.json else summary_text(summary))
+    if not options.json:
+        _say_cut(options.bag, _signals(options))
+
+
+def _say_cut(bag: Path | str, mapping: LogMapping | None) -> None:
+    """Print that a recording was ended too early, if it was."""
+    from rx90_emulator.loop.recorded_setup import ends_in_motion
+
+    if ends_in_motion(bag, mapping):
+        print(f"{plain(bag)}: the recording ends while the set-points still move")
 
 
 _VERBS = (

@@ -18,6 +18,7 @@ from rx90_emulator.cli.options import (
     add_robot_arguments,
     add_start_time,
     place,
+    progress_bar,
     setup_of,
 )
 
@@ -184,10 +185,16 @@ def _send(
 
     approach = Approach() if options.approach else None
     with client_node("rx90_line", options.timeout or _TIMEOUT, _say, options.ros_args) as client:
-        deliver(
+        wait = deliver(
             client, plan, options.node, limits, 1.0 / options.rate, approach,
             start_time=options.start_time, correction=correction, starting=0.0 if options.timeout else _STARTING,
         )  # fmt: skip
+        if wait is None:
+            return
+        options.interrupted = "the controller goes on with the motion; no points on its topic joint_trajectory stop it"
+        with progress_bar("motion") as progress:
+            end = wait(progress)
+        _say(f"arrived: the motion ended at {end:.3f} s")
 
 
 def _say(text: str) -> None:

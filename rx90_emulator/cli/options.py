@@ -187,13 +187,13 @@ def setup_of(options: argparse.Namespace) -> Setup:
 
 
 @contextmanager
-def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
+def progress_bar(what: str) -> Iterator[Callable[[float, float], None]]:
     """Yield a callback for progress, called with what is done and the total; after a second it shows a bar."""
     from tqdm import tqdm
 
     with tqdm(desc=what, bar_format=_BAR, delay=1.0, disable=None, file=sys.stderr) as bar:
 
-        def show(done: int, total: int) -> None:
+        def show(done: float, total: float) -> None:
             bar.total = total
             bar.update(done - bar.n)
 

@@ -67,7 +67,7 @@ def node_trials(
             trajectory,
             robot.joint_names,
             set_points,
-            show=lambda _: None,
+            show=lambda *_: None,
         )
         numbers = count()
 

@@ -542,7 +542,7 @@ class Consistency:
         before, after = self.shares
         return (
             f"bodies in the files: {self.inertias.distance:.2g} standard deviations from the base parameters (RMS; up "
-            f"to about 1 is noise); torque RMS of the fitted runs {after:.1%} with them, {before:.1%} without"
+            f"to about 1 is noise); torque RMS in the low-pass of the fit {after:.1%} with them, {before:.1%} without"
         )
 
     @property

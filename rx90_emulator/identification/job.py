@@ -160,8 +160,14 @@ def run_check(
     with steps() as step:
         checks = check_friction(friction, bags, robot, tolerances, step)
     lines = [check_summary(checks)]
+    against = objection(checks)
+    beside = Path(friction).with_name(FILES["urdf"])
+    if against and robot.urdf and beside.is_file() and not beside.samefile(robot.urdf):
+        lines.append(
+            f"hint: {beside}, with the bodies that {friction} was identified with, was not given as --urdf"
+        )
     if report is not None:
         write_text(report, check_page(checks, friction))
         lines.append(f"report: {report}")
     print("\n".join(lines))
-    return objection(checks)
+    return against

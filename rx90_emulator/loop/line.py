@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.description.kinematics import Pose, forward, polyline_error, tip_position
 from rx90_common.description.robot import RobotModel
@@ -23,6 +23,7 @@ from rx90_emulator.loop.result import MotionCommand, RunResult
 from rx90_emulator.loop.setup import Setup
 
 _AT_REST = 1e-4  # m/s: slower set-points have no direction of their own but for rounding
+_START_ZONE = 0.01  # m
 _SHORTEST_REST = 0.1  # s: in shorter stops the tip is at a corner of one path, and may cut it
 _ROUNDING = 1e-9  # s, of stamps
 
@@ -47,6 +48,10 @@ class PathAccuracy:
     along_track: Array
     orientation: Array
 
+    def take(self, rows: Mask) -> PathAccuracy:
+        """Return those of some of the times."""
+        return PathAccuracy(**{name: values[rows] for name, values in vars(self).items()})
+
     @property
     def worst(self) -> float:
         """Return the largest distance from the path, m; 0 where nothing counts."""
@@ -67,13 +72,23 @@ class PathAccuracy:
         """Return the largest angle of the tool from its orientation, rad."""
         return float(self.orientation.max(initial=0.0))
 
+    def beyond_start(self, digits: int) -> str:
+        """Return in words the largest distance beyond the path's first 10 mm, m, if the largest of all is in these.
+
+        There a motion that follows another one bends the bristles back.
+        """
+        beyond = self.perpendicular[self.along > _START_ZONE]
+        if not beyond.size or beyond.max() == self.worst:
+            return ""
+        return f" (beyond {1e3 * _START_ZONE:.0f} mm: {1e3 * beyond.max():.{digits}f} mm)"
+
     @property
     def words(self) -> str:
         """Return the largest errors in words."""
         if not len(self.times):
             return "no path error: set-points that do not move the tip"
         return (
-            f"path error {1e3 * self.worst:.4f} mm, RMS {1e3 * self.rms:.4f} mm; along the path "
+            f"path error {1e3 * self.worst:.4f} mm{self.beyond_start(4)}, RMS {1e3 * self.rms:.4f} mm; along the path "
             f"{1e3 * self.worst_along_track:.4f} mm; tool {1e3 * self.worst_orientation:.4f} mrad"
         )
 

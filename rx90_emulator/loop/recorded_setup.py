@@ -10,14 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from rx90_common.bags.mapping import is_table
-from rx90_common.bags.reading import BagReader
+from rx90_common.bags.mapping import LogMapping, is_table
+from rx90_common.bags.reading import BagReader, read_joint_bag
 from rx90_common.bags.topics import STRING, reports_changes
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
 from rx90_common.description.urdf import robot_name
 
 _DESCRIPTION = "robot_description"
+_SET_POINTS = "/reference"
+_AT_REST = 1e-6  # rad, from one set-point to the next
 
 _VALUES = (
     "", "bool", "integer", "double", "string",
@@ -44,6 +46,15 @@ def check_robot(path: Path | str, robot: str) -> None:
                         f"recorded of the robot {quoted(name)}, not of {quoted(robot)}; accepted: a "
                         "bag of that robot, or --robot with the bag's"
                     )
+
+
+def ends_in_motion(path: Path | str, mapping: LogMapping | None = None) -> bool:
+    """Tell whether set-points in a bag still move at the end of the recording."""
+    with BagReader(path, mapping) as bag:
+        topics = [topic.name for topic in bag.topics if topic.name.endswith(_SET_POINTS)]
+    recorded = read_joint_bag(path, topics, mapping=mapping).series.values()
+    last = [series.fields["position"][-2:] for sets in recorded for series in sets]
+    return any(np.ptp(position, axis=0).max() > _AT_REST for position in last)
 
 
 def read_changes(path: Path | str) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +10,17 @@ import numpy as np
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import LogMapping, is_table
 from rx90_common.bags.reading import read_joint_bag
+from rx90_common.bags.recorded import read_trajectories
 from rx90_common.bags.topics import absolute
-from rx90_common.base.arrays import Mask
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
-from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.topics import MOTOR_STATES, SAMPLED
+from rx90_controller.lines.task import SETTLING
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.identification.robot import (
     JOINT_STATES,
@@ -30,13 +33,16 @@ from rx90_emulator.loop.line import PathAccuracy, followed_accuracy
 from rx90_emulator.loop.recorded_setup import check_robot
 
 _SET_POINTS = "reference"
+_AT_REST = 1e-6  # rad
 _GAP = 3.5  # times the median interval: where more than two set-points in a row are missing, nothing counts
 
 
 def recorded_accuracy(
     bag: Path, robot: RobotModel, files: RobotFiles, signals: Path | None = None
-) -> PathAccuracy | None:
-    """Measure the path error in a bag by `followed_accuracy`; None for a bag without set-points.
+) -> list[PathAccuracy]:
+    """Measure the path error in a bag by `followed_accuracy`, last that of approaches, as far as it holds some.
+
+    An approach is the way to the first point of a trajectory that rests there. A bag without set-points has no error.
 
     The joints are those of `joint_states` in any namespace, else of `motor_states` through the gears.
 
@@ -53,7 +59,7 @@ def recorded_accuracy(
     topic = _arm_topic(bag, mapping)
     setpoint_topic = _setpoint_topic(bag, topic, mapping)
     if setpoint_topic is None:
-        return None
+        return []
     layout = arm_layout(
         topic, robot.joint_names, options, lambda: load_drives(files.drives), mapping
     )
@@ -67,7 +73,32 @@ def recorded_accuracy(
     begin = arm.stamp_ns[0]
     times = (counted.stamp_ns - begin) / NANOSECONDS
     setpoint_times = (setpoints.stamp_ns - begin) / NANOSECONDS
-    return followed_accuracy(robot, times, position, setpoint_times, setpoints.fields["position"])
+    accuracy = followed_accuracy(
+        robot, times, position, setpoint_times, setpoints.fields["position"]
+    )
+    approach = _approach(bag, setpoints, np.rint(accuracy.times * NANOSECONDS) + begin)
+    parts = [accuracy.take(rows) for rows in (~approach, approach)]
+    return [part for part in parts if len(part.times)] or [accuracy]
+
+
+def _approach(bag: Path, setpoints: JointSeries, stamps: Array) -> Mask:
+    """Tell at which stamps, ns, the arm was on the way to the first point of a trajectory, or settled there."""
+    rows = np.zeros(len(stamps), dtype=np.bool_)
+    with suppress(BagError):  # a table, or the trajectories of several controllers
+        for begin, trajectory in read_trajectories(bag):
+            points = trajectory.points
+            if len(points) < 2 or not len(points[0].velocities) or any(points[0].velocities):
+                continue
+            end = begin + message_time_ns(points[0].time_from_start)
+            if end == begin:
+                continue
+            # until the set-points go on
+            there = np.searchsorted(setpoints.stamp_ns, [end, end + SETTLING * NANOSECONDS])
+            held = setpoints.fields["position"][slice(*there)]
+            moved = np.abs(held - held[:1]).max(axis=1) > _AT_REST
+            settled = setpoints.stamp_ns[slice(*there)][~moved]
+            rows |= (stamps >= begin) & (stamps <= settled.max(initial=end))
+    return rows
 
 
 def _arm_topic(bag: Path, mapping: LogMapping | None) -> str:

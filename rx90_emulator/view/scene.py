@@ -134,7 +134,6 @@ _END_TOLERANCE = 1e-4  # m; a motion that begins and ends so near the line's end
 _CHORD_TOLERANCE = 0.05
 _DURATION_TOLERANCE = 5e-3  # s that a motion may take longer than the line's own: the same speeds
 _PATH_STEP = 5e-3  # m between points of a path that is drawn
-_START_ZONE = 0.01  # m; in these a motion that follows another one bends the bristles back
 _MAX_SAMPLES = 4000  # of a run; of a longer one the larger of each two is kept
 _KEPT_BEFORE = 100  # samples from before it is known that they are of a run
 
@@ -270,16 +269,11 @@ class LineScene:
         words = f"{self._now * 1e3:.3f} mm now" if known else "not on the line"
         if self.run is None:
             return words
-        error = self.run.perpendicular
-        along = self.run.along
-        at = float(along[np.argmax(error)])
-        beyond = error[along > _START_ZONE]
+        at = float(self.run.along[np.argmax(self.run.perpendicular)])
         words += (
             f"; {'largest of this run' if known else 'last run'} {self.run.worst * 1e3:.3f} mm, "
         )
-        words += f"{at * 1e3:.0f} mm from the start"
-        if at <= _START_ZONE and len(beyond):
-            words += f" (beyond {_START_ZONE * 1e3:.0f} mm: {beyond.max() * 1e3:.3f} mm)"
+        words += f"{at * 1e3:.0f} mm from the start{self.run.beyond_start(3)}"
         if not np.isnan(self.run.worst_along_track):
             words += f"; along it {self.run.worst_along_track * 1e3:.3f} mm"
         return f"{words}; tool {self.run.worst_orientation * 1e3:.3f} mrad"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 from contextlib import closing
 from pathlib import Path
 
@@ -12,12 +13,13 @@ import pytest
 import yaml
 from pinocchio_chain import tip_pose
 from processes import Processes
-from ros_client import Client
+from ros_client import Client, seconds
 from schema_faults import schema_faults
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.share import config_path
+from rx90_common.exchange.endpoints import ros_time
 from rx90_controller.lines.plan import Approach, plan_line
 from rx90_controller.lines.task import load_task
 from rx90_emulator.cli.frame import run
@@ -119,22 +121,51 @@ def test_a_controller_that_comes_later_gets_the_whole_trajectory(shipped: Setup,
 
 
 @pytest.mark.ros
-def test_an_approach_comes_first_where_the_arm_stands_elsewhere(shipped: Setup, processes: Processes) -> None:
-    """From another pose the first point, the start of the line, comes after the time a joint move takes."""
+@pytest.mark.parametrize(
+    ("end", "code", "said"),
+    [
+        ("arrives", 0, "arrived: the motion ended at "),
+        ("stays", 3, "rad from the trajectory's end, 5 s after it was due"),
+        ("interrupted", 130, "interrupted; the controller goes on with the motion"),
+    ],
+)
+def test_the_command_ends_when_the_arm_has_arrived(
+    shipped: Setup, processes: Processes, end: str, code: int, said: str
+) -> None:
+    """Not before the end of approach and line in the arm's time; 5 s later where it does not come; at once by Ctrl-C.
+
+    From another pose the first point, the start of the line, comes after the time that a joint move takes.
+    """
     plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
     here = plan.start_pose + np.array([0.1, -0.2, 0.3, 0.0, 0.1, -0.4])
+    approach = Approach().duration(shipped.robot, here, plan.start_pose)
+    after = {"arrives": approach + plan.duration, "stays": approach + plan.duration + 5.0, "interrupted": 2.5}[end]
     state = JointState(name=shipped.robot.joint_names[::-1], position=here[::-1].tolist())
     with closing(Client()) as client:
         name = client.node.get_name()
         taken = client.listen(f"{name}/joint_trajectory", JointTrajectory)
         states = client.node.create_publisher(JointState, "joint_states", 10)
-        client.node.create_timer(0.02, lambda: states.publish(state))
+        begun: list[float] = []  # time when the trajectory came
+
+        def publish() -> None:
+            now = seconds(state) + 0.02
+            state.header.stamp = ros_time(round(now * 1e9))
+            begun.extend([now] * (len(taken) - len(begun)))
+            if end == "arrives" and begun and now > begun[0] + after:
+                state.position = plan.position[-1, ::-1].tolist()
+            states.publish(state)
+
+        client.node.create_timer(0.02, publish)
         sender = processes.start("rx90 line", REFERENCE, "--approach", "--node", name)
-        client.spin_until(lambda: bool(taken), "the trajectory")
-    assert sender.wait() == 0, sender.output
-    assert "approach: " in sender.output
+        client.spin_until(lambda: bool(begun), "the trajectory")
+        if end == "interrupted":
+            client.spin_until(lambda: seconds(state) > begun[0] + after, "the wait for the end")
+            sender.signal(signal.SIGINT)
+        client.spin_until(lambda: sender.returncode is not None, "the end of the command")
+    assert sender.returncode == code
+    assert said in sender.output
+    assert -0.2 < seconds(state) - begun[0] - after < 1.5
     first = taken[0].points[0]
     assert np.array_equal(first.positions, plan.start_pose)
     assert not np.any(first.velocities)
-    delay = first.time_from_start.sec + 1e-9 * first.time_from_start.nanosec
-    assert 0.0 <= delay - Approach().duration(shipped.robot, here, plan.start_pose) < 1e-3
+    assert 0.0 <= first.time_from_start.sec + 1e-9 * first.time_from_start.nanosec - approach < 1e-3

@@ -14,9 +14,7 @@ from typing import Any
 from bokeh.plotting import figure
 
 from rx90_common.base.share import versions
-from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.report.page import render_page
-from rx90_emulator.identification.estimates import ParameterEstimate
 from rx90_emulator.identification.output import plots, summary
 from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.result import (
@@ -80,7 +78,7 @@ def identification_page(result: Identification, date: datetime, files: Sequence[
         files=files,
         versions=", ".join(f"{name} {number}" for name, number in versions().items()),
         friction=rows,
-        columns=_columns(rows),
+        columns=summary.friction_columns(rows),
         lacking=summary.lacking(names, result.elements),
         checks=_checks(result.validations),
         fitted=[(run, plots.torques(run, run.names, result.unit)) for run in fitted],
@@ -89,14 +87,3 @@ def identification_page(result: Identification, date: datetime, files: Sequence[
         ],
         loops=[plots.presliding_loop(joint, *loop) for joint, loop in loops.items()],
     )
-
-
-def _columns(rows: dict[str, dict[str, ParameterEstimate]]) -> list[tuple[str, str]]:
-    """Return the columns of the table of friction, with their units."""
-    columns = []
-    for column in summary.friction_columns(rows):
-        name = column.rstrip("+-")
-        columns.append(
-            (column, FRICTION_UNITS.get(name) or FRICTION_UNITS.get(f"{name}_positive", ""))
-        )
-    return columns

@@ -11,6 +11,7 @@ from typing import TypeVar
 
 from rx90_common.estimation.law import Part
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.element import FRICTION_UNITS
 from rx90_emulator.identification.estimates import (
     FrictionCurve,
     IdentifiedElement,
@@ -76,12 +77,14 @@ def _friction_lines(result: Identification) -> list[str]:
     truth = true_elements(result)
     rows = []
     for name, estimates in shown.items():
-        rows.append([name, *(_with_deviation(estimates.get(column)) for column in columns)])
+        rows.append([name, *(_with_deviation(estimates.get(column)) for column, _ in columns)])
         if name in truth:
             rows.append(
-                ["  true", *(f"{true_value(truth[name], column):.6g}" for column in columns)]
+                ["  true", *(f"{true_value(truth[name], column):.6g}" for column, _ in columns)]
             )
-    lines = table(["element", *columns], rows)
+    lines = table(["element", *(f"{name}, {unit}" for name, unit in columns)], rows)
+    if rows:
+        lines.append("+- is one standard deviation; 95 % lie within 1.96 of them")
     nothing = [name for name in names if name not in shown]
     if nothing:
         lines.append(f"{', '.join(nothing)}: nothing identified")
@@ -156,7 +159,8 @@ def _excitation_lines(result: ExcitationIdentification) -> list[str]:
         ]
         for use, run in runs
     ]
-    lines += table(["torque RMS", *result.torques[0].names, "all"], shares)
+    head = f"torque RMS below {result.compared.torque:.3g} Hz"
+    lines += table([head, *result.torques[0].names, "all"], shares)
     bodies = [
         (
             moved.joint,
@@ -172,7 +176,7 @@ def _excitation_lines(result: ExcitationIdentification) -> list[str]:
     )
     bandwidths = result.problem.runs[0].bandwidths
     lines.append(
-        f"low-pass: {bandwidths.position:.3g} Hz, torques {bandwidths.torque:.3g} Hz: {bandwidths.reason}"
+        f"low-pass of the fit: {bandwidths.position:.3g} Hz, torques {bandwidths.torque:.3g} Hz: {bandwidths.reason}"
     )
     lines += [note if note.startswith("warning") else f"recording: {note}" for note in result.notes]
     lines.append(f"model: {kept_parts(result)}")
@@ -281,13 +285,19 @@ def friction_rows(
     }
 
 
-def friction_columns(rows: Mapping[str, Mapping[str, ParameterEstimate]]) -> list[str]:
-    """Return the parameters that are identified of any element."""
+def friction_columns(
+    rows: Mapping[str, Mapping[str, ParameterEstimate]],
+) -> list[tuple[str, str]]:
+    """Return the parameters that are identified of any element, with their units."""
     known = {
         column for row in rows.values() for column, estimate in row.items() if estimate.identifiable
     }
+    units = {name.removesuffix("_positive"): unit for name, unit in FRICTION_UNITS.items()}
     return [
-        column for name in _REPORTED for column in (name, f"{name}+", f"{name}-") if column in known
+        (column, units[name])
+        for name in _REPORTED
+        for column in (name, f"{name}+", f"{name}-")
+        if column in known
     ]
 
 

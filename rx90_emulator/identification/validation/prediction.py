@@ -108,9 +108,9 @@ class Validation:
     )
 
     @property
-    def largest_share(self) -> float:
-        """Return the largest RMS difference of a joint that moves over its RMS recorded torque."""
-        return float(np.nanmax(self.torque.rms_share))
+    def decisive(self) -> Criterion:
+        """Return the criterion that is farthest beyond its limit, or next to it."""
+        return max(self.criteria, key=lambda part: np.nan_to_num(part.value / part.limit, nan=-1.0))
 
     @property
     def tip_worst(self) -> float:

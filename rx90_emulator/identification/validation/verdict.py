@@ -204,16 +204,21 @@ class Criterion:
         return not self.value > self.limit
 
     @property
-    def text(self) -> str:
-        """Return quantity, value, joint and limit: "torque RMS 0.13% (joint_6, limit 5%)"."""
+    def parts(self) -> tuple[str, str, str]:
+        """Return quantity, value, and joint with limit: "torque RMS", "0.13%" and "(joint_6, limit 5%)"."""
         scale, unit, after = {
             "%": (1e2, "%", "%"),
             "mrad": (1e3, " mrad", ""),
             "µm": (1e6, " µm", ""),
         }[self.unit]
         whose = f"{self.joint}, " if self.joint else ""
-        figure = f"{self.quantity} {scale * self.value:.{self.digits}f}{unit}"
-        return f"{figure} ({whose}limit {scale * self.limit:g}{after})"
+        figure = f"{scale * self.value:.{self.digits}f}{unit}"
+        return self.quantity, figure, f"({whose}limit {scale * self.limit:g}{after})"
+
+    @property
+    def text(self) -> str:
+        """Return the parts in one."""
+        return " ".join(self.parts)
 
 
 def largest(

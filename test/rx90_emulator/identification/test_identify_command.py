@@ -117,15 +117,20 @@ def checked(hinge: Hinge, *words: object) -> int:
 def test_true_friction_is_confirmed_and_false_is_not(
     hinge: Hinge, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The arm's own friction is confirmed with 0; half as much again is not, with 1; a report is written if asked."""
+    """The arm's own friction is confirmed with 0; half as much again is not, with 1; a report is written if asked.
+
+    Where bodies stand beside the friction, and others were given, a hint says so.
+    """
     good, bad = hinge.friction(tmp_path / "good.yaml"), hinge.friction(tmp_path / "bad.yaml", 1.5)
     words, report = ["check", good, hinge.bag], tmp_path / "page.html"
     assert checked(hinge, *words, "--report", report) == DONE
+    (tmp_path / "robot.urdf").write_text(hinge.urdf.read_text(encoding="utf-8"), encoding="utf-8")
     assert checked(hinge, "check", bad, hinge.bag) == VERDICT_NO
     said = capsys.readouterr()
+    assert re.findall(r"hint: (\S+),", said.out) == [str(tmp_path / "robot.urdf")]
     assert re.findall(r"validation \S+: (confirmed|NOT CONFIRMED)", said.out) == ["confirmed", "NOT CONFIRMED"]
     assert said.err.splitlines()[-1] == f"rx90 identify: the validation does not confirm {bad}"
-    assert {file.name for file in tmp_path.iterdir()} == {"good.yaml", "bad.yaml", "page.html"}
+    assert {file.name for file in tmp_path.iterdir()} == {"good.yaml", "bad.yaml", "page.html", "robot.urdf"}
     page = report.read_text(encoding="utf-8")
     for text in ("good.yaml", "<b>confirmed</b>", '<figure class="plot">'):
         assert text in page

@@ -21,6 +21,7 @@ from two_joints import CURVES, NAMES, NOISE, RATE, Bench, fourier
 import rx90_emulator as rx
 from rx90_common.base.errors import REFUSED, VERDICT_NO
 from rx90_emulator.identification import excitation as identification
+from rx90_emulator.identification.output.report import check_page
 from rx90_emulator.identification.output.summary import validation_verdict
 from rx90_emulator.identification.result import ExcitationIdentification
 from rx90_emulator.identification.robot import RecordedRobot
@@ -119,6 +120,10 @@ def test_verdict_is_that_of_the_unseen_runs(outcome: Outcome) -> None:
     # A verdict that the files alone decide says so.
     alone = replace(good, torque=bad.torque)
     assert not alone.passed
+    page = check_page([alone], "friction.yaml")
+    assert re.search(r'class="fact bad"><b>[\d.]+%</b>\s+torque RMS of all joints by the files', page)
+    assert "tau_c, Nm" in outcome.said
+    assert "+- is one standard deviation" in outcome.said
     said = validation_verdict(alone)
     assert "NOT CONFIRMED: torque RMS of all joints by the files, away from reversals" in said
     assert f"at reversals, where the assumed c0 and c1 act, {bad.torque.at_reversals.total_share:.2%}" in said
