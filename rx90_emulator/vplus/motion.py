@@ -430,16 +430,19 @@ class MotionQueue:
             self.destination = self.position
 
     def _angles(self, times: Array) -> Array:
-        """Return joint angles, rad, shape (n, 6), at times on the path, s."""
+        """Return joint angles, rad, shape (n, 6), at times around the present one on the path, s."""
         if not self._running:
             return np.repeat(self.position[None], len(times), axis=0)
-        shares = [motion.profile.share(times - motion.begin) for motion in self._running]
-        first = self._running[0].line
-        last = self._running[-1].line
+        # At most two: the third one begins when the first one is over, but within the same period.
+        running = [motion for motion in self._running if motion.over > self._path_time]
+        running = running or self._running[-1:]
+        shares = [motion.profile.share(times - motion.begin) for motion in running]
+        first = running[0].line
+        last = running[-1].line
         if first is not last and first is not None and last is not None:
             return self._corner(first.tools(shares[0]), last, shares[-1])
-        angles = np.repeat(self._running[0].start[None], len(times), axis=0)
-        for motion, share in zip(self._running, shares, strict=True):
+        angles = np.repeat(running[0].start[None], len(times), axis=0)
+        for motion, share in zip(running, shares, strict=True):
             if motion.line is None:
                 angles += share[:, None] * (motion.end - motion.start)
             else:

@@ -244,6 +244,15 @@ def test_a_corner_is_rounded_as_speed_and_acceleration_say(shipped: Setup, lines
     assert alone == pytest.approx([even / 0.4 if slow else even] * 2, abs=0.1 if slow else 0.02)
 
 
+def test_short_lines_in_a_row_are_run_evenly(shipped: Setup) -> None:
+    """Each ramps up while the one before ramps down: the tool keeps sqrt(L a), a = 5 m/s^2 times 8 % of the speed."""
+    chain = "SPEED 120 MMPS ALWAYS\nFOR i = 1 TO 20\nMOVES TRANS(500,7*i,0,0,180)\nEND"
+    done = ran(shipped, f"MOVE TRANS(500,0,0,0,180)\nBREAK\n{chain}")
+    for track in done.tracks[4:18]:
+        speeds = np.linalg.norm(np.diff(1e6 * track.asked, axis=0), axis=1)  # mm/s, of 1 ms
+        assert speeds == pytest.approx(math.sqrt(7 * 5000 * 0.08), rel=0.02)
+
+
 def test_the_program_goes_on_while_the_arm_moves(shipped: Setup) -> None:
     """Behind a motion the program goes on when it begins; DURATION is the least time; one-shot settings hold once."""
     lines = "CPOFF ALWAYS\nSPEED 50\nDURATION 2\nDRIVE 1,10,100\nSIGNAL 1\nDRIVE 1,10,100\nSIGNAL 2\nDELAY 0.5\nBREAK"
