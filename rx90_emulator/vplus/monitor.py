@@ -66,6 +66,7 @@ class Monitor:
         program: the program that runs; None if none does.
         call: its name and arguments, until it is through.
         cycles: that are left of it; negative for no end.
+        returns: whether the terminal ends lines with a carriage return; line feeds beside it say nothing then.
     """
 
     def __init__(self, cell: Cell, folder: Path, send: Callable[[str], None]) -> None:
@@ -74,13 +75,13 @@ class Monitor:
         self.program: Waits | None = None
         self.call: tuple[Any, ...] = ()
         self.cycles = 0
+        self.returns = False
         self._send = send
         self._dialogue = self._commands()
         self._asks = False
         self._reads = False
         self._answer: str | None = None
         self._typed = ""
-        self._returned = False
         self._lines: list[str] = []
         cell.show = lambda text, _, ends: send(f"{text}\r\n" if ends else text)
         cell.ask = self._ask
@@ -96,14 +97,14 @@ class Monitor:
         for character in data.decode("latin-1"):
             if ord(character) == _INTERRUPT:
                 self.abort()
-            elif character == "\r" or (character == "\n" and not self._returned):
+            elif character == "\r" or (character == "\n" and not self.returns):
                 self._lines.append(self._typed)
                 self._typed = ""
             elif character in "\b\x7f":
                 self._typed = self._typed[:-1]
             elif character != "\n" and len(self._typed) < _LONGEST_LINE:
                 self._typed += character
-            self._returned = character == "\r"
+            self.returns |= character == "\r"
         self._take_lines()
 
     def _take_lines(self) -> None:
@@ -536,6 +537,7 @@ def _exchange(
     incoming = _Way(baud)
     outgoing = _Way(baud)
     output[:] = b"."
+    monitor.returns = False
     began = time.monotonic() - cell.time
     while True:
         time.sleep(max(began + cell.time + cell.period - time.monotonic(), 0.0) if waits else 0.0)

@@ -25,9 +25,9 @@ def talk(shipped: Setup, tmp_path: Path) -> Talk:
     shown: list[str] = []
     monitor = Monitor(Cell(shipped, Engine(shipped, keep=False)), tmp_path, shown.append)
 
-    def type_line(line: str, beats: int = 0) -> str:
+    def type_line(line: str, beats: int = 0, end: str = "\r\n") -> str:
         shown.clear()
-        monitor.receive(line.encode() + b"\r\n")
+        monitor.receive(f"{line}{end}".encode())
         for _ in range(beats):
             monitor.beat()
         while monitor.is_busy:
@@ -84,6 +84,14 @@ def test_each_line_is_answered_as_on_the_cabinet(talk: Talk, lines: list[str], s
     for line in lines:
         answer = talk(line)
     assert re.fullmatch(shown, answer), answer
+
+
+@pytest.mark.parametrize("end", ["\r", "\n", "\r\n", "\n\r"])
+def test_a_line_ends_once_however_a_client_ends_it(talk: Talk, end: str) -> None:
+    """Public software sends each of these; an empty line more would end the question of POINT."""
+    for line in ("speed 30", "point a", "1,2,3", "", "listl a"):
+        answer = talk(line, end=end)
+    assert re.search(r"\na +1.000 +2.000 +3.000 ", answer)
 
 
 def test_a_program_is_edited_run_stored_and_loaded(talk: Talk) -> None:
