@@ -92,6 +92,11 @@ class Monitor:
         """Return whether a command runs that takes no line."""
         return not self._asks
 
+    @property
+    def is_programs(self) -> bool:
+        """Return whether a program has all that is typed, between its READs, too."""
+        return self.program is not None and self.task.attached
+
     def receive(self, data: bytes) -> None:
         """Take bytes from the terminal: make lines of them, and do what they say."""
         for character in data.decode("latin-1"):
@@ -108,7 +113,7 @@ class Monitor:
         self._take_lines()
 
     def _take_lines(self) -> None:
-        while self._lines and (self._reads or self._asks):
+        while self._lines and (self._reads or (self._asks and not self.is_programs)):
             line = self._lines.pop(0)
             self._send(f"{line}\r\n")
             if self._reads:
@@ -326,6 +331,7 @@ def _execute(monitor: Monitor, text: str) -> None:
     monitor.cycles = int(match[2] or 1)
     task.frames = []
     task.halted = False
+    task.attached = False
     task.always.update(OF_EXECUTE)
     task.call(*call)
     monitor.call = call

@@ -136,6 +136,16 @@ def test_a_program_asks_and_goes_on_where_it_stopped(talk: Talk) -> None:
     assert "end\r\n\r\nProgram completed" in talk("proceed", 3)
 
 
+def test_a_program_with_a_unit_has_what_is_typed(talk: Talk) -> None:
+    """Between its READs, too; blanks separate numbers as commas do. Behind DETACH the monitor answers again."""
+    loop = ("FOR i = 1 TO 2", "READ (lun) a, b, c", "WRITE (lun) a, b, c", "WAIT.EVENT , 0.1", "END")
+    for line in ("EDIT p", 'ATTACH (lun, 4) "SERIAL:1"', *loop, "DETACH (lun)", "WAIT FALSE", "E", "exec p"):
+        talk(line, 1)
+    assert " 1 -2.5 3\r\n" in talk(" 1 -2.5  3", 3)
+    assert talk("4 , 5", 1) == ""
+    assert re.search(r" 4 5 0\r\nstatus\r\nTask 0  running", talk("status", 30))
+
+
 def test_a_reaction_that_was_aborted_comes_again(talk: Talk) -> None:
     """Its priority does not stay behind."""
     for line in ("EDIT late", "TYPE 5", "WAIT FALSE", "E", "EDIT p", "SIGNAL -5", "REACT 5, late", "SIGNAL 5", "E"):
