@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import partial
 from itertools import zip_longest
 from typing import Any, Final
@@ -21,6 +22,7 @@ _NULL_TIME: Final = 2.0  # s, until errors must be small
 _STRAIGHT: Final = ("MOVES", "MOVEST", "APPROS", "DEPARTS", "ALIGN")
 _HAND: Final = {"O": (3001, -3002), "C": (-3001, 3002), "R": (-3001, -3002)}
 """Signals of the hand: open, closed, relaxed."""
+_BETWEEN: Final = re.compile(r"\s*,\s*|\s+")
 _CONFIGURATIONS: Final = ("RIGHTY", "LEFTY"), ("ABOVE", "BELOW"), ("NOFLIP", "FLIP")
 _SWITCHED: Final = {
     "CPON": {"CP": 1.0},
@@ -361,7 +363,7 @@ def _show(task: Task, *items: Value) -> None:
 
 
 def _ask(task: Task, question: str, *targets: Cell) -> Waits:
-    """Ask for a line, and store the numbers or the text of it."""
+    """Ask for a line, and store its numbers, which commas or blanks separate, or its text."""
     try:
         answer = task.cell.ask(question)
     except EOFError:
@@ -371,15 +373,17 @@ def _ask(task: Task, question: str, *targets: Cell) -> Waits:
     while answer is None:
         yield "a line of input"
         answer = task.cell.ask("")
-    parts = [*answer.split(","), *[""] * len(targets)]
+    parts = [*_BETWEEN.split(answer.strip()), *[""] * len(targets)]
     for target, part in zip(targets, parts, strict=False):
         target.store(answer if target.name[0] == "$" else bounded(number_of(part)))
 
 
 def _attach(task: Task, unit: Tree, *_: object) -> None:
-    """Give a free unit of input and output where a variable stands for it."""
+    """Give a free unit of input and output where a variable stands for it, or take it back."""
     if isinstance(unit, Reference):
-        task.cell_of(unit).store(10.0)
+        task.attached = task.step.word == "ATTACH()"
+        if task.attached:
+            task.cell_of(unit).store(10.0)
 
 
 _CONTROL: Final[dict[str, Any]] = {
@@ -439,9 +443,9 @@ _ACTIONS: Final[dict[str, Any]] = {
     "PROMPT  text variable*": _ask,
     "READ()  any variable*": lambda task, _, *targets: _ask(task, "", *targets),
     "WRITE()  any any*": lambda task, _, *items: _show(task, *items),
-    "ATTACH()  tree any?": _attach,
+    "ATTACH() DETACH()  tree any?": _attach,
     "AUTO LOCAL GLOBAL  tree*": _nothing,
-    "DETACH() SELECT=  tree*": _nothing,
+    "SELECT=  tree*": _nothing,
     "ATTACH DETACH MULTIPLE SINGLE OVERLAP NOOVERLAP": _nothing,
 }
 CONTROL: Final = entries(_CONTROL, of_task=True)

@@ -66,6 +66,7 @@ class Monitor:
         program: the program that runs; None if none does.
         call: its name and arguments, until it is through.
         cycles: that are left of it; negative for no end.
+        returns: whether the terminal ends lines with a carriage return; line feeds beside it say nothing then.
     """
 
     def __init__(self, cell: Cell, folder: Path, send: Callable[[str], None]) -> None:
@@ -74,13 +75,13 @@ class Monitor:
         self.program: Waits | None = None
         self.call: tuple[Any, ...] = ()
         self.cycles = 0
+        self.returns = False
         self._send = send
         self._dialogue = self._commands()
         self._asks = False
         self._reads = False
         self._answer: str | None = None
         self._typed = ""
-        self._returned = False
         self._lines: list[str] = []
         cell.show = lambda text, _, ends: send(f"{text}\r\n" if ends else text)
         cell.ask = self._ask
@@ -91,23 +92,28 @@ class Monitor:
         """Return whether a command runs that takes no line."""
         return not self._asks
 
+    @property
+    def is_programs(self) -> bool:
+        """Return whether a program has all that is typed, between its READs, too."""
+        return self.program is not None and self.task.attached
+
     def receive(self, data: bytes) -> None:
         """Take bytes from the terminal: make lines of them, and do what they say."""
         for character in data.decode("latin-1"):
             if ord(character) == _INTERRUPT:
                 self.abort()
-            elif character == "\r" or (character == "\n" and not self._returned):
+            elif character == "\r" or (character == "\n" and not self.returns):
                 self._lines.append(self._typed)
                 self._typed = ""
             elif character in "\b\x7f":
                 self._typed = self._typed[:-1]
             elif character != "\n" and len(self._typed) < _LONGEST_LINE:
                 self._typed += character
-            self._returned = character == "\r"
+            self.returns |= character == "\r"
         self._take_lines()
 
     def _take_lines(self) -> None:
-        while self._lines and (self._reads or self._asks):
+        while self._lines and (self._reads or (self._asks and not self.is_programs)):
             line = self._lines.pop(0)
             self._send(f"{line}\r\n")
             if self._reads:
@@ -325,6 +331,7 @@ def _execute(monitor: Monitor, text: str) -> None:
     monitor.cycles = int(match[2] or 1)
     task.frames = []
     task.halted = False
+    task.attached = False
     task.always.update(OF_EXECUTE)
     task.call(*call)
     monitor.call = call
@@ -536,6 +543,7 @@ def _exchange(
     incoming = _Way(baud)
     outgoing = _Way(baud)
     output[:] = b"."
+    monitor.returns = False
     began = time.monotonic() - cell.time
     while True:
         time.sleep(max(began + cell.time + cell.period - time.monotonic(), 0.0) if waits else 0.0)

@@ -246,7 +246,9 @@ class Motion:
         begin: time on the path, s; infinite until it is known.
         began: simulated time, s.
         ended: simulated time, s.
+        settled: simulated time at which the arm stood where it should, s; NaN where the next one did not wait for it.
         error: largest distance of the tool from the path of its set-points, mm; NaN where it is not known.
+        nulled: distance of the tool from its end when the set-points were there, mm; likewise.
     """
 
     kind: str
@@ -262,7 +264,9 @@ class Motion:
     begin: float = math.inf
     began: float = math.nan
     ended: float = math.nan
+    settled: float = math.nan
     error: float = math.nan
+    nulled: float = math.nan
 
     @property
     def over(self) -> float:
@@ -373,8 +377,12 @@ class MotionQueue:
 
     def begin_waiting(self, settled: bool, time: float) -> None:
         """Begin the motion that waits, if the one before it is over, and settled where it must be."""
+        if self._running:
+            return
+        if settled and self.done and math.isnan(self.done[-1].settled):
+            self.done[-1].settled = time
         is_due = settled or not self.done or not self.done[-1].nulls
-        if self.waiting is not None and not self._running and is_due:
+        if self.waiting is not None and is_due:
             self.waiting.begin = self._path_time
             self._begin(self.waiting, time)
 
@@ -430,16 +438,19 @@ class MotionQueue:
             self.destination = self.position
 
     def _angles(self, times: Array) -> Array:
-        """Return joint angles, rad, shape (n, 6), at times on the path, s."""
+        """Return joint angles, rad, shape (n, 6), at times around the present one on the path, s."""
         if not self._running:
             return np.repeat(self.position[None], len(times), axis=0)
-        shares = [motion.profile.share(times - motion.begin) for motion in self._running]
-        first = self._running[0].line
-        last = self._running[-1].line
+        # At most two: the third one begins when the first one is over, but within the same period.
+        running = [motion for motion in self._running if motion.over > self._path_time]
+        running = running or self._running[-1:]
+        shares = [motion.profile.share(times - motion.begin) for motion in running]
+        first = running[0].line
+        last = running[-1].line
         if first is not last and first is not None and last is not None:
             return self._corner(first.tools(shares[0]), last, shares[-1])
-        angles = np.repeat(self._running[0].start[None], len(times), axis=0)
-        for motion, share in zip(self._running, shares, strict=True):
+        angles = np.repeat(running[0].start[None], len(times), axis=0)
+        for motion, share in zip(running, shares, strict=True):
             if motion.line is None:
                 angles += share[:, None] * (motion.end - motion.start)
             else:

@@ -96,13 +96,11 @@ class ProgramRun:
             ]
             accuracy = followed_accuracy(robot, times, angles[1], times, angles[0])
             motion.error = 1e3 * accuracy.worst if len(accuracy.times) else math.nan
-            self.tracks.append(
-                Track(
-                    times,
-                    tip_position(robot.chain, angles[0]),
-                    tip_position(robot.chain, angles[1]),
-                )
-            )
+            track = Track(times, *(tip_position(robot.chain, q) for q in angles))
+            self.tracks.append(track)
+            if not math.isnan(motion.settled):
+                end = min(round((ended - motion.began) / period), len(times) - 1)
+                motion.nulled = 1e3 * math.dist(track.asked[end], track.measured[end])
 
 
 def run_program(
@@ -214,22 +212,32 @@ def _beat(cell: Cell) -> None:
 # What is told of a run.
 
 
-def table_text(run: ProgramRun) -> str:
-    """Return the table of motions as text."""
-    lines = [
-        f"{'line':<20} motion    begin s    end s  taken s  alone s  error mm  joints, degrees"
-    ]
+_COLUMNS = "line,motion,begin s,end s,taken s,alone s,error mm,null s,null mm,joints in degrees"
+_WIDTHS = "<20", "<8", *[">8"] * 7, "<1"
+
+
+def table(run: ProgramRun) -> list[list[str]]:
+    """Return the table of motions; null s is how long the arm took behind the set-points, null mm how far it went."""
+    rows = [_COLUMNS.split(",")]
     for motion in run.motions:
-        times = [motion.began, motion.ended, motion.ended - motion.began, motion.profile.duration]
-        shown = " ".join(f"{time:8.3f}" for time in times)
+        taken = motion.ended - motion.began
+        nulling = motion.settled - motion.ended
+        times = [motion.began, motion.ended, taken, motion.profile.duration]
+        figures = [f"{time:.3f}" for time in times]
+        figures += [f"{motion.error:.4f}", f"{nulling:.3f}", f"{motion.nulled:.4f}"]
         ends = [
             " ".join(f"{joint:.1f}" for joint in run.cell.arm.joints(q))
             for q in (motion.start, motion.end)
         ]
-        lines.append(
-            f"{motion.where:<20} {motion.kind:<8} {shown} {motion.error:9.4f}  {' -> '.join(ends)}"
-        )
-    return "\n".join(lines)
+        shown = [figure.replace("nan", "-") for figure in figures]
+        rows.append([motion.where, motion.kind, *shown, " -> ".join(ends)])
+    return rows
+
+
+def table_text(run: ProgramRun) -> str:
+    """Return the table of motions as text."""
+    rows = (zip(row, _WIDTHS, strict=True) for row in table(run))
+    return "\n".join(" ".join(f"{cell:{width}}" for cell, width in row) for row in rows)
 
 
 def page(run: ProgramRun, name: str) -> str:
@@ -245,7 +253,12 @@ def page(run: ProgramRun, name: str) -> str:
         speed.line(times[1:], 1e3 * rates, color=COLOURS[0])
         distance.line(times, 1e3 * np.linalg.norm(measured - asked, axis=1), color=COLOURS[1])
     return render_page(
-        __package__ or "", "program.html.j2", run=run, name=name, plots=[speed, distance]
+        __package__ or "",
+        "program.html.j2",
+        run=run,
+        name=name,
+        plots=[speed, distance],
+        table=table(run),
     )
 
 

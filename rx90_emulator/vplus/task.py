@@ -129,6 +129,7 @@ class Task:
         error: number of the newest error.
         lot: the source of RANDOM.
         halted: whether HALT has ended the program for good.
+        attached: whether the program has a unit of its own: what is typed goes to it.
         frames: the programs within each other.
         step: the newest step.
     """
@@ -154,6 +155,7 @@ class Task:
         self.error = 0
         self.lot = random.Random(0)
         self.halted = False
+        self.attached = False
         self.frames: list[Frame] = []
         self.step = Step()
         self._steps = 0

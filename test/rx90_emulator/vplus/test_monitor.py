@@ -25,9 +25,9 @@ def talk(shipped: Setup, tmp_path: Path) -> Talk:
     shown: list[str] = []
     monitor = Monitor(Cell(shipped, Engine(shipped, keep=False)), tmp_path, shown.append)
 
-    def type_line(line: str, beats: int = 0) -> str:
+    def type_line(line: str, beats: int = 0, end: str = "\r\n") -> str:
         shown.clear()
-        monitor.receive(line.encode() + b"\r\n")
+        monitor.receive(f"{line}{end}".encode())
         for _ in range(beats):
             monitor.beat()
         while monitor.is_busy:
@@ -86,6 +86,14 @@ def test_each_line_is_answered_as_on_the_cabinet(talk: Talk, lines: list[str], s
     assert re.fullmatch(shown, answer), answer
 
 
+@pytest.mark.parametrize("end", ["\r", "\n", "\r\n", "\n\r"])
+def test_a_line_ends_once_however_a_client_ends_it(talk: Talk, end: str) -> None:
+    """Public software sends each of these; an empty line more would end the question of POINT."""
+    for line in ("speed 30", "point a", "1,2,3", "", "listl a"):
+        answer = talk(line, end=end)
+    assert re.search(r"\na +1.000 +2.000 +3.000 ", answer)
+
+
 def test_a_program_is_edited_run_stored_and_loaded(talk: Talk) -> None:
     """EDIT asks line by line; a program runs behind the prompt, and is aborted; its text comes back from a file."""
     assert talk("EDIT p(x)").endswith("    1 ? ")
@@ -126,6 +134,16 @@ def test_a_program_asks_and_goes_on_where_it_stopped(talk: Talk) -> None:
     talk("do x = 5")
     assert "Ann 5 0\r\n\r\n*Program paused*" in talk("retry", 3)
     assert "end\r\n\r\nProgram completed" in talk("proceed", 3)
+
+
+def test_a_program_with_a_unit_has_what_is_typed(talk: Talk) -> None:
+    """Between its READs, too; blanks separate numbers as commas do. Behind DETACH the monitor answers again."""
+    loop = ("FOR i = 1 TO 2", "READ (lun) a, b, c", "WRITE (lun) a, b, c", "WAIT.EVENT , 0.1", "END")
+    for line in ("EDIT p", 'ATTACH (lun, 4) "SERIAL:1"', *loop, "DETACH (lun)", "WAIT FALSE", "E", "exec p"):
+        talk(line, 1)
+    assert " 1 -2.5 3\r\n" in talk(" 1 -2.5  3", 3)
+    assert talk("4 , 5", 1) == ""
+    assert re.search(r" 4 5 0\r\nstatus\r\nTask 0  running", talk("status", 30))
 
 
 def test_a_reaction_that_was_aborted_comes_again(talk: Talk) -> None:

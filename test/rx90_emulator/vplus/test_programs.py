@@ -95,12 +95,18 @@ def test_a_case_does_what_was_worked_out_by_hand(shipped: Setup, name: str) -> N
 
 
 def test_the_seam_is_straight_and_as_accurate_as_the_same_line(shipped: Setup) -> None:
-    """Set-points of the seam keep to the line, the laser burns on it alone; the path error is that of `run_line`."""
+    """Set-points keep to the line; the laser burns until the arm has settled; the path error is that of `run_line`."""
     done = run_program(shipped, load_programs(CASES / "c04_weld_line.v2"))
     seam = done.motions[3]
     asked = done.tracks[3].asked
     assert np.abs(1e3 * asked[:, [0, 2]] - [600, 270]).max() < 0.01
-    assert [change.time for change in done.cell.changes] == [seam.began, pytest.approx(seam.ended, abs=0.3)]
+    assert [change.time for change in done.cell.changes] == [seam.began, seam.settled]  # BREAK waits for it
+    assert 0.0 < seam.settled - seam.ended < 0.3
+    assert done.result is not None
+    series = (done.result.slow.reference, done.result.slow.joint_states)
+    ends = [flange(done.cell.arm.joints(rows[round(1e3 * seam.ended), 0])) for rows in series]
+    tools = [place + 200 * rotation[:, 2] for rotation, place in ends]
+    assert seam.nulled == pytest.approx(math.dist(*tools), rel=1e-3)
     line = LineTask((0.6, -0.2, 0.27), (0.6, 0.2, 0.27), speed=0.1, acceleration=1 / 3)
     assert seam.error == pytest.approx(1e3 * run_line(shipped, line).path_accuracy.worst, rel=0.3)
 
@@ -242,6 +248,15 @@ def test_a_corner_is_rounded_as_speed_and_acceleration_say(shipped: Setup, lines
     even = 1.0 + (0.1 / 1.5 if "SCALE" in lines else 0.3)  # s: way over speed, and a ramp
     slow = "MONITOR" in lines
     assert alone == pytest.approx([even / 0.4 if slow else even] * 2, abs=0.1 if slow else 0.02)
+
+
+def test_short_lines_in_a_row_are_run_evenly(shipped: Setup) -> None:
+    """Each ramps up while the one before ramps down: the tool keeps sqrt(L a), a = 5 m/s^2 times 8 % of the speed."""
+    chain = "SPEED 120 MMPS ALWAYS\nFOR i = 1 TO 20\nMOVES TRANS(500,7*i,0,0,180)\nEND"
+    done = ran(shipped, f"MOVE TRANS(500,0,0,0,180)\nBREAK\n{chain}")
+    for track in done.tracks[4:18]:
+        speeds = np.linalg.norm(np.diff(1e6 * track.asked, axis=0), axis=1)  # mm/s, of 1 ms
+        assert speeds == pytest.approx(math.sqrt(7 * 5000 * 0.08), rel=0.02)
 
 
 def test_the_program_goes_on_while_the_arm_moves(shipped: Setup) -> None:
