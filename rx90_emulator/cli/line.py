@@ -191,7 +191,9 @@ def _send(
         )  # fmt: skip
         if wait is None:
             return
-        options.interrupted = "the controller goes on; a message without points on its topic joint_trajectory stops it"
+        options.interrupted = (
+            "the controller goes on with the motion; a trajectory without points stops it"
+        )
         with progress_bar("motion") as progress:
             end = wait(progress)
         _say(f"arrived: the motion ended at {end:.3f} s")
