@@ -1,7 +1,7 @@
 """Compile the numerical kernels with numba, and keep the code on disk.
 
-fastmath stays off, so that a kernel gives the same bits wherever it is inlined. docs/explanation/kernels.md explains
-when to use which decorator.
+fastmath stays off, so that a kernel gives the same bits wherever it is inlined. CONTRIBUTING.md says when to use which
+decorator.
 
 numba's own cache checks only the file of a compiled function: after a change in a kernel that it *calls* from
 another file, it would run the old code. This cache therefore has a folder named after the hash of all files with
