@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import re
 from array import array
@@ -229,8 +230,11 @@ def _lines_of(path: Path) -> tuple[pa.StringArray, Int64Array, list[str]]:
 
     None is an object of Python, which takes many times its bytes.
     """
+    with path.open("rb") as stream:
+        is_wide = stream.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     # Bytes of a damaged log that are no text make a corrupt row, not an unreadable file.
-    text = path.read_text("utf-8-sig", errors="replace").replace("\0", "\ufffd")
+    text = path.read_text("utf-16" if is_wide else "utf-8-sig", errors="replace")
+    text = text.replace("\0", "\ufffd")
     lines = pc.split_pattern(pa.array([text]), "\n").flatten()
     del text
     is_row = pc.match_substring_regex(lines, r"^\s*[^\s#%]")
