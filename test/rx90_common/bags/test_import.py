@@ -78,12 +78,19 @@ def rows(delimiter: str, decimal: str = ".", end: str = "") -> str:
 )
 def test_delimiter_decimal_sign_and_header_are_found_out_or_said(tmp_path: Path, text: str, mapping: str) -> None:
     """Commas, semicolons, tabs, blanks, decimal commas, headers and comments give the same numbers."""
-    found = imported(tmp_path, mapping, text, "utf-16" if text[0] == "%" else "utf-8-sig")
+    found = imported(tmp_path, mapping, text, "utf-8-sig")
     assert found.stamp_ns.tolist() == [500_000_000, 750_000_000, 1_250_000_000]
     assert found.names == ("a", "b")
     assert np.array_equal(found.position, POSITION)
     assert found.velocity is None
     assert found.effort is None
+
+
+def test_texts_of_windows_are_read(tmp_path: Path) -> None:
+    """UTF-16 with the mark of either order of bytes."""
+    for mark in ("", "\ufeff"):
+        found = imported(tmp_path, PLAIN, mark + rows(","), "utf-16-be" if mark else "utf-16")
+        assert np.array_equal(found.position, POSITION)
 
 
 @pytest.mark.parametrize(
