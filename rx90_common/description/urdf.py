@@ -275,9 +275,10 @@ class UrdfFile:
                 self.refuse(
                     f"joint '{name}' type",
                     kind,
-                    f"revolute (1 to {MAX_JOINTS} of them in series) or fixed",
+                    f"revolute, or continuous with a <limit> (1 to {MAX_JOINTS} in series), or fixed",
                 )
-            if joint.find("mimic") is not None:
+            # what stands at a joint that does not move says nothing
+            if kind == "revolute" and joint.find("mimic") is not None:
                 self.refuse(f"joint '{name}'", "mimic", "joints that move by themselves")
             self._origin(joint, f"joint '{name}'")
             for end in ("parent", "child"):

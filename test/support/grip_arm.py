@@ -20,7 +20,7 @@ def write_urdf(folder: Path, joints: int = 7, *, continuous: bool = False) -> Pa
     """Write the description.
 
     The base turns on a `mast` and carries a `wheel`; one of its links has an inertia that no body has. The gripper
-    has a sliding finger and one that mimics it, and its tip is a frame without a body.
+    has a sliding finger and one that mimics it, as the hand does, which is fixed; its tip is a frame without a body.
 
     Args:
         folder: where to.
@@ -53,7 +53,7 @@ def write_urdf(folder: Path, joints: int = 7, *, continuous: bool = False) -> Pa
         parent = f"link_{k + 1}"
     parts += [
         '<link name="hand"/><link name="tip"/>',
-        _joint("hand_fixed", "fixed", parent, "hand", "0 0 0.11", 0.0, ""),
+        _joint("hand_fixed", "fixed", parent, "hand", "0 0 0.11", 0.0, '<mimic joint="finger_1"/>'),
         f'<link name="left">{_inertial(0.05)}</link><link name="right">{_inertial(0.05)}</link>',
         _joint("finger_1", "prismatic", "hand", "left", "0 0 0.05", 0.0, _GRIP),
         _joint("finger_2", "prismatic", "hand", "right", "0 0 0.05", 0.0, _GRIP + '<mimic joint="finger_1"/>'),
