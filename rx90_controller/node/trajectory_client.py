@@ -46,7 +46,8 @@ from rx90_controller.trajectory.points import (
 
 _SETTLED = 1.2  # s without a change among those that listen; each participant announces itself every second, config/dds
 _NEXT_SAMPLE = 1.5  # s; at the slowest real_time_factor the samples of a simulation that runs come every second
-_PATIENCE = 5.0  # s of the wall clock, until an arm is at its place after a trajectory has ended
+_PATIENCE = 5.0  # s of the wall clock, that an arm may rest away from its place after a trajectory was due to end
+_RESTS = 1e-3  # rad: an arm whose joints all stay within it rests
 _ENDS = ("trajectory rejected", "trajectory aborted", "trajectory dropped", "stopped at")
 """How a controller's line begins that says that a trajectory does not come to its end."""
 
@@ -249,9 +250,10 @@ class TrajectoryClient:
         tolerance: float,
         show: Show,
     ) -> float:
-        """Wait until the arm is at the end of the trajectory that was sent to start now; return when that was due, s.
+        """Wait until the arm is at the end of the trajectory that was sent to start now; return when it ended, s.
 
-        It begins when the controller says, else now.
+        That is when it was due, unless the arm came later. It begins when the controller says, else now. An arm that
+        moves is waited for, however slow it was made.
 
         Args:
             points: the trajectory.
@@ -266,7 +268,9 @@ class TrajectoryClient:
         begin = samples.time
         newest = begin
         came = time.monotonic()
-        ended = came
+        moved = came
+        place = samples.position
+        late = False
         while True:
             if self._fault:
                 raise ExchangeError(f"{self._controller}: {self._fault}")
@@ -282,17 +286,20 @@ class TrajectoryClient:
                 )
             passed = newest - begin
             show(min(max(0.0, passed), duration), duration)
-            if passed <= duration + POLL:
-                ended = clock
-            else:
-                gap = float(np.abs(samples.position - points.position[-1]).max())
+            gap = float(np.abs(samples.position - points.position[-1]).max())
+            if passed > duration + POLL:
                 if gap <= tolerance:
-                    return begin + duration
-                if clock > ended + _PATIENCE:
-                    raise ExchangeError(
-                        f"a joint is {gap:.4f} rad from the trajectory's end, {_PATIENCE:g} s after it was due, "
-                        "because it was slowed down, stopped or replaced: the controller's terminal says which"
-                    )
+                    return newest if late else begin + duration
+                late = True
+            # an arm that is slowed down comes later
+            if passed <= duration or np.abs(samples.position - place).max() > _RESTS:
+                moved = clock
+                place = samples.position
+            if clock > moved + _PATIENCE:
+                raise ExchangeError(
+                    f"the arm rests {gap:.4f} rad from the trajectory's end, which was due: it was stopped "
+                    "or replaced, and the controller's terminal says which"
+                )
             self._client.spin()
             # the newest message suffices; in between the processor is left to the nodes
             time.sleep(POLL / 2.0)
