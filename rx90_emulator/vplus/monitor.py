@@ -46,8 +46,9 @@ _CALLED: Final = re.compile(
 )
 _LONGEST_LINE: Final = 1000
 _MOST_BYTES: Final = 4096
-_MOST_BEATS: Final = 20
-"""Beats that are made up for at once; a machine that is slower than that is slower than the wall clock."""
+"""In a beat."""
+_LATEST: Final = 0.3
+"""Time that is made up for, s; a machine that is slower than that is slower than the wall clock."""
 _INTERRUPT: Final = 3
 _BITS: Final = 10
 """Of a byte on a line with 8 data bits, no parity and a stop bit."""
@@ -514,41 +515,22 @@ def serve(
                     _exchange(client.fileno(), monitor, output, baud, waits)
 
 
-class _Way:
-    """One direction of a line: how many bytes have had the time to pass."""
-
-    def __init__(self, baud: int | None) -> None:
-        self._byte_time = 0.0 if baud is None else _BITS / baud
-        self._clear = time.monotonic()
-
-    def room(self, *, waiting: bool) -> int:
-        """Return the number of bytes that may pass now; while none wait, the time that goes by is of no use later."""
-        now = time.monotonic()
-        if not waiting:
-            self._clear = now
-        if self._byte_time == 0.0:
-            return _MOST_BYTES
-        return min(int((now - self._clear) / self._byte_time), _MOST_BYTES)
-
-    def take(self, count: int) -> None:
-        """Let bytes pass."""
-        self._clear += count * self._byte_time
-
-
 def _exchange(
     line: int, monitor: Monitor, output: bytearray, baud: int | None, waits: bool
 ) -> None:
     """Exchange bytes with a terminal, and let the time of the cell pass with the wall clock, until it has gone."""
-    cell = monitor.task.cell
-    incoming = _Way(baud)
-    outgoing = _Way(baud)
+    period = monitor.task.cell.period
     output[:] = b"."
     monitor.returns = False
-    began = time.monotonic() - cell.time
+    due = time.monotonic()
+    passed = 0.0  # bytes each way, so far
     while True:
-        time.sleep(max(began + cell.time + cell.period - time.monotonic(), 0.0) if waits else 0.0)
+        due = max(due + period, time.monotonic() - _LATEST)
+        time.sleep(max(due - time.monotonic(), 0.0) if waits else 0.0)
+        before = int(passed)
+        passed += _MOST_BYTES if baud is None else period * baud / _BITS
+        room = int(passed) - before
         ready, free, _ = select.select([line], [line] if output else [], [], 0.0)
-        room = incoming.room(waiting=bool(ready))
         if ready and room:
             try:
                 data = os.read(line, room)
@@ -556,15 +538,8 @@ def _exchange(
                 data = b""
             if not data:
                 return
-            incoming.take(len(data))
             monitor.receive(data)
-        late = time.monotonic() - began - cell.time if waits else cell.period
-        for _ in range(min(int(late / cell.period), _MOST_BEATS)):
-            monitor.beat()
-        if late > _MOST_BEATS * cell.period:
-            began = time.monotonic() - cell.time
-        room = outgoing.room(waiting=bool(free))
+        monitor.beat()
         if free and room:
             count = os.write(line, output[:room])
-            outgoing.take(count)
             del output[:count]
