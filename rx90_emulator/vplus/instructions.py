@@ -24,12 +24,6 @@ _HAND: Final = {"O": (3001, -3002), "C": (-3001, 3002), "R": (-3001, -3002)}
 """Signals of the hand: open, closed, relaxed."""
 _BETWEEN: Final = re.compile(r"\s*,\s*|\s+")
 _CONFIGURATIONS: Final = ("RIGHTY", "LEFTY"), ("ABOVE", "BELOW"), ("NOFLIP", "FLIP")
-_SWITCHED: Final = {
-    "CPON": {"CP": 1.0},
-    "CPOFF": {"CP": 0.0},
-    "NULL": {"NULL": 1.0},
-    "NONULL": {"NULL": 0.0},
-}
 _REFUSED: Final = {
     "VPICTURE VLOCATE VFEATURE VSHOW VTRAIN VDISPLAY": "vision is not emulated",
     "ALTER ALTON ALTOFF": "ALTER needs a licensed option",
@@ -243,10 +237,6 @@ def _choose(task: Task, **values: float) -> None:
     (task.always if "ALWAYS" in task.step.modifiers else task.next).update(values)
 
 
-def _switch_choice(task: Task) -> None:
-    _choose(task, **_SWITCHED[task.step.word])
-
-
 def _set_tolerance(task: Task, percent: float = 100.0) -> None:
     _choose(task, FINE=percent * (1.0 if task.step.word == "FINE" else 10.0))
 
@@ -419,7 +409,10 @@ _ACTIONS: Final[dict[str, Any]] = {
     "BREAK": _break,
     "BRAKE": lambda task: task.queue.stop(),
     "LEFTY RIGHTY ABOVE BELOW FLIP NOFLIP": _configure,
-    "CPON CPOFF NULL NONULL": _switch_choice,
+    "CPON": partial(_choose, CP=1.0),
+    "CPOFF": partial(_choose, CP=0.0),
+    "NULL": partial(_choose, NULL=1.0),
+    "NONULL": partial(_choose, NULL=0.0),
     "FINE COARSE  percent?": _set_tolerance,
     "SPEED  real percent?": _set_speed,
     "ACCEL  percent? percent?": _set_ramps,

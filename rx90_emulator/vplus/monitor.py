@@ -93,11 +93,6 @@ class Monitor:
         """Return whether a command runs that takes no line."""
         return not self._asks
 
-    @property
-    def is_programs(self) -> bool:
-        """Return whether a program has all that is typed, between its READs, too."""
-        return self.program is not None and self.task.attached
-
     def receive(self, data: bytes) -> None:
         """Take bytes from the terminal: make lines of them, and do what they say."""
         for character in data.decode("latin-1"):
@@ -114,7 +109,9 @@ class Monitor:
         self._take_lines()
 
     def _take_lines(self) -> None:
-        while self._lines and (self._reads or (self._asks and not self.is_programs)):
+        """Take lines for whoever asks; a program with a unit has all of them, between its READs, too."""
+        has_unit = self.program is not None and self.task.attached
+        while self._lines and (self._reads or (self._asks and not has_unit)):
             line = self._lines.pop(0)
             self._send(f"{line}\r\n")
             if self._reads:

@@ -194,7 +194,7 @@ class Task:
         scope: Scope = {name: {} for name in program.automatic}
         for parameter, argument in zip(program.parameters, arguments, strict=False):
             if isinstance(argument, Reference):
-                whole = argument.index is not None and not any(map(_is_given, argument.index))
+                whole = set(argument.index or ()) == {None}
                 scope[parameter] = self.table(argument) if whole else {(): self.cell_of(argument)}
             elif argument is not None:
                 element(scope[parameter], parameter).store(self.value(argument))
@@ -403,10 +403,6 @@ class Task:
         )
         flange = inverse(self._stand) @ place @ inverse(self.tool)
         return self.arm.solve_target(flange, posture, self.queue.destination)
-
-
-def _is_given(tree: Tree) -> bool:
-    return tree is not None
 
 
 def configuration(posture: Branch) -> list[bool]:
