@@ -254,8 +254,10 @@ def _set_speed(task: Task, speed: float, rotary: float | None = None) -> None:
 
 
 def _set_ramps(task: Task, *ramps: float | None) -> None:
-    chosen = zip(("UP", "DOWN"), ramps, strict=False)
-    task.always.update({name: value for name, value in chosen if value is not None})
+    """Set the accelerations; those out of range are clipped, as the manual says."""
+    for name, percent in zip(("UP", "DOWN"), ramps, strict=False):
+        if percent is not None:
+            task.always[name] = min(max(percent, 1.0), 1000.0)
 
 
 def _set_profile(task: Task, profile: float | None, *ramps: float | None) -> None:
@@ -415,8 +417,8 @@ _ACTIONS: Final[dict[str, Any]] = {
     "NONULL": partial(_choose, NULL=0.0),
     "FINE COARSE  percent?": _set_tolerance,
     "SPEED  real percent?": _set_speed,
-    "ACCEL  percent? percent?": _set_ramps,
-    "ACCEL()  real? percent? percent?": _set_profile,
+    "ACCEL  real? real?": _set_ramps,
+    "ACCEL()  real? real? real?": _set_profile,
     "DURATION  seconds": lambda task, seconds: _choose(task, DURATION=seconds),
     "OPEN CLOSE RELAX": _set_hand,
     "OPENI CLOSEI RELAXI": _set_hand_now,
