@@ -32,6 +32,7 @@ _REFUSED: Final = {
     "EXECUTE ABORT KILL": "one task is emulated",
     "MOVEF MOVESF": "they belong to other arms",
     "DEVICE SETDEVICE DDCMP": "no devices are emulated",
+    "GETC PACK $UNPACK INTB LNGB FLTB $INTB $LNGB $FLTB": "bytes are not emulated",
 }
 
 
@@ -446,4 +447,4 @@ _ACTIONS: Final[dict[str, Any]] = {
 CONTROL: Final = entries(_CONTROL, of_task=True)
 INSTRUCTIONS: Final = CONTROL | entries(_ACTIONS, of_task=True)
 REFUSED: Final = {word: reason for words, reason in _REFUSED.items() for word in words.split()}
-"""Instructions that are not there, and why."""
+"""Instructions and functions that are not there, and why."""

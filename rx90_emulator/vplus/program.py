@@ -19,6 +19,7 @@ from rx90_emulator.vplus.functions import FUNCTIONS, number_of
 from rx90_emulator.vplus.instructions import INSTRUCTIONS, REFUSED
 from rx90_emulator.vplus.transformations import trans
 from rx90_emulator.vplus.tree import (
+    Entry,
     Function,
     Memory,
     Program,
@@ -58,22 +59,24 @@ _INSIDE: Final = {
 # Lines.
 
 
-def _function(name: str, *arguments: Tree) -> Function:
-    entry = FUNCTIONS.get(name.upper())
+def _entry(table: dict[str, Entry], word: str, given: int, unknown: str) -> Entry:
+    entry = table.get(word)
     if entry is None:
-        raise SyntaxError(f"*Undefined program or variable name* {name}(")
-    entry.check(name.upper(), len(arguments))
-    return Function(name.upper(), entry, arguments)
+        reason = REFUSED.get(word.rstrip("()="))
+        raise SyntaxError(f"{word} is not there: {reason}" if reason else unknown)
+    entry.check(word, given)
+    return entry
+
+
+def _function(name: str, *arguments: Tree) -> Function:
+    unknown = f"*Undefined program or variable name* {name}("
+    name = name.upper()
+    return Function(name, _entry(FUNCTIONS, name, len(arguments), unknown), arguments)
 
 
 def _step(word: str, *arguments: Tree, modifiers: tuple[str, ...] = ()) -> Step:
     word = word.upper()
-    if word.rstrip("()=") in REFUSED:
-        raise SyntaxError(f"{word} is not there: {REFUSED[word.rstrip('()=')]}")
-    entry = INSTRUCTIONS.get(word)
-    if entry is None:
-        raise SyntaxError("*Unknown instruction*")
-    entry.check(word, len(arguments))
+    entry = _entry(INSTRUCTIONS, word, len(arguments), "*Unknown instruction*")
     return Step(word, entry, arguments, modifiers)
 
 

@@ -169,7 +169,8 @@ def test_a_reading_changes_how_and_binds_and_is_warned_of(shipped: Setup) -> Non
             "x = SIN()\nMOVE\ny = foo(1)",
             ["SIN has 0 arguments; accepted: real", "MOVE has 0", "*Undefined program"],
         ),
-        ("VPICTURE (1)\nALTER () 1\nNONSENSE 3", ["vision is not emulated", "ALTER needs", "*Unknown instruction*"]),
+        ("VPICTURE (1)\nALTER () 1\nx = GETC(5)", ["vision is not emulated", "ALTER needs", "GETC is not there"]),
+        ("NONSENSE 3\nx = foo(1)", ["*Unknown instruction*", "*Undefined program or variable name* foo("]),
         ("x = 1\nAUTO y", ["stands behind an executable line"]),
         ("x = (1\nto = 3\nx = 1 +", ["2: 'x = (1': the line ends", "to is a reserved word", "'x = 1 +': the"]),
         ("TYPE " + "-" * 240 + "1", []),  # a fault or none, by the interpreter's depth, and no RecursionError
