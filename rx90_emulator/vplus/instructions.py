@@ -44,7 +44,7 @@ def _nothing(*_: object) -> None:
 
 
 def _begin_for(
-    task: Task, variable: Cell, first: float, limit: float, increment: float | None
+    task: Task, variable: Cell, first: float, limit: float, increment: float | None = None
 ) -> None:
     if increment == 0.0:
         raise VplusError("Illegal value", "STEP 0")
@@ -261,7 +261,7 @@ def _set_ramps(task: Task, *ramps: float | None) -> None:
             task.always[name] = min(max(percent, 1.0), 1000.0)
 
 
-def _set_profile(task: Task, profile: float | None, *ramps: float | None) -> None:
+def _set_profile(task: Task, profile: float | None = None, *ramps: float | None) -> None:
     task.always["SMOOTH"] = profile or 0.0
     _set_ramps(task, *ramps)
 
@@ -371,7 +371,7 @@ def _ask(task: Task, question: str, *targets: Cell) -> Waits:
         target.store(answer if target.name[0] == "$" else bounded(number_of(part)))
 
 
-def _attach(task: Task, unit: Tree, *_: object) -> None:
+def _attach(task: Task, unit: Tree = None, *_: object) -> None:
     """Give a free unit of input and output where a variable stands for it, or take it back."""
     if isinstance(unit, Reference):
         task.attached = task.step.word == "ATTACH()"

@@ -337,11 +337,12 @@ class Task:
         )
 
     def values(self, kinds: list[str], arguments: tuple[Tree, ...]) -> list[Any]:
-        """Return what an action gets for arguments; the last kind may come any number of times."""
+        """Return what an action gets for arguments, up to the last that is given; the last kind may come many times."""
         repeated = [*kinds, *kinds[-1:] * len(arguments)]
-        return [
-            self.taken(kind, argument) for kind, argument in zip(repeated, arguments, strict=False)
-        ]
+        values = [self.taken(*pair) for pair in zip(repeated, arguments, strict=False)]
+        while values and values[-1] is None:
+            values.pop()
+        return values
 
     def taken(self, kind: str, argument: Tree) -> Any:
         """Return what an action gets for an argument: the value of a kind.

@@ -136,6 +136,7 @@ def test_the_seam_is_straight_and_as_accurate_as_the_same_line(shipped: Setup) -
         ("BITS 1, 4 = 5\nLOCK 2\nDECOMPOSE j[0] = #PHERE\nTYPE BITS(1,4), /F4.0, j[1], /I0, 7", " 5 -907"),
         ("TYPE DEFINED(x)\nx = 1\nTYPE DEFINED(x)", " 0| -1"),
         ("ATTACH ()\nACCEL (1) 50\nDETACH (0)\nTYPE ACCEL(1), ACCEL(2)", " 50 100"),
+        ('WAIT.EVENT 1,\nBITS 1, = 1\nREACT 5, p,\nSIGNAL 5\nTYPE POS("ab", "b",), BITS(1,)', " 2 1| 2 1"),
         ("ACCEL 0, 2000\nTYPE ACCEL(1), ACCEL(2)", " 1 1000"),
         ('.PROGRAM p()\nx = 1\nCALLS "q"(x)\nTYPE x\n.END\n.PROGRAM q(a)\na = 2\n.END', " 2"),
         ("JMOVE 5, -80\nBREAK\nJHERE a, b, c\nTYPE INT(a+0.5), INT(b-0.5), INT(c+0.5)", " 5 -80 90"),
