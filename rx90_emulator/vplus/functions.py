@@ -8,6 +8,7 @@ import re
 import time
 from collections.abc import Iterable
 from functools import partial
+from itertools import takewhile
 from typing import Any, Final
 
 import numpy as np
@@ -94,11 +95,9 @@ def _decoded(source: Cell, delimiters: str, mode: float | None = None) -> str:
     if not isinstance(text, str):
         raise VplusError("Undefined value", source.name)
     wants_marks = (mode or 0.0) > 0.0
-    count = 0
-    while count < len(text) and (text[count] in delimiters) == wants_marks:
-        count += 1
-    source.store(text[count:])
-    return text[:count]
+    taken = "".join(takewhile(lambda mark: (mark in delimiters) == wants_marks, text))
+    source.store(text[len(taken) :])
+    return taken
 
 
 def _error_text(number: int) -> str:
