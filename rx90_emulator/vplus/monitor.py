@@ -13,6 +13,7 @@ import socket
 import time
 import tty
 from collections.abc import Callable, Generator
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -294,8 +295,8 @@ def _list_places(monitor: Monitor, text: str) -> Dialogue:
         yield f"{cell.name:<10} {_text(cell.value)}"
 
 
-def _list_values(monitor: Monitor, text: str) -> Dialogue:
-    for cell in _variables(monitor, text, (float, str)):
+def _list_values(monitor: Monitor, text: str, kind: type) -> Dialogue:
+    for cell in _variables(monitor, text, kind):
         yield f"{cell.name} = {_text(cell.value)}"
 
 
@@ -447,8 +448,8 @@ COMMANDS: Final[dict[str, str | Command]] = {
     "HERE": _here,
     "POINT": _point,
     "LISTL": _list_places,
-    "LISTR": _list_values,
-    "LISTS": _list_values,
+    "LISTR": partial(_list_values, kind=float),
+    "LISTS": partial(_list_values, kind=str),
     "LISTP": _list_programs,
     "DIRECTORY": _directory,
     "EXECUTE": _execute,
