@@ -23,12 +23,12 @@ from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import plain
 from rx90_emulator.vplus.cell import Cell
 from rx90_emulator.vplus.instructions import CONTROL
-from rx90_emulator.vplus.program import load_programs, parse_line, read
+from rx90_emulator.vplus.program import global_cell, load_programs, parse, parse_line, read
 from rx90_emulator.vplus.task import OF_EXECUTE, Frame, Task, Waits
 from rx90_emulator.vplus.transformations import six_numbers, trans
 from rx90_emulator.vplus.tree import Memory, Program
 from rx90_emulator.vplus.values import Cell as Variable
-from rx90_emulator.vplus.values import Joints, LoadError, Value, VplusError, element, plain_name
+from rx90_emulator.vplus.values import Joints, LoadError, Value, VplusError
 
 
 class Ask(str):
@@ -240,12 +240,6 @@ def _numbers(value: Any) -> tuple[float, ...]:
     return value if isinstance(value, Joints) else six_numbers(value)
 
 
-def _name(text: str) -> str:
-    if not re.fullmatch(r"[$#]?[A-Za-z][\w.]*", text):
-        raise VplusError("Illegal value", f"name {plain(text)}")
-    return plain_name(text)
-
-
 def _here(monitor: Monitor, text: str) -> Dialogue:
     yield from _do(monitor, "BREAK")
     yield from _do(monitor, f"HERE {text}")
@@ -254,10 +248,10 @@ def _here(monitor: Monitor, text: str) -> Dialogue:
 
 def _point(monitor: Monitor, text: str) -> Dialogue:
     """Show a location, and store what is typed instead, until an empty line."""
-    name = _name(text.partition("=")[0].strip())
-    if "=" in text:
+    name, equals, _ = text.partition("=")
+    cell = global_cell(monitor.task.memory, parse(name, "place"))
+    if equals:
         yield from _do(monitor, f"SET {text}")
-    cell = element(monitor.task.memory.variables.setdefault(name, {}), name)
     if cell.value is None:
         cell.store(Joints([0.0] * 6) if name[0] == "#" else np.eye(4))
     while True:
@@ -420,8 +414,7 @@ def _zero(monitor: Monitor, _: str) -> Dialogue:
 
 def _edit(monitor: Monitor, text: str) -> Dialogue:
     programs = monitor.task.memory.programs
-    name = _name(text.partition("(")[0].strip())
-    present = programs.get(name)
+    present = programs.get(parse(f".PROGRAM {text}", "header").name)
     lines = [*present.text] if present is not None else []
     while True:
         answer = yield Ask(f"{len(lines) + 1:5d} ? ")

@@ -29,6 +29,7 @@ from rx90_emulator.vplus.tree import (
     Tree,
 )
 from rx90_emulator.vplus.values import (
+    Cell,
     Format,
     Joints,
     LoadError,
@@ -171,7 +172,7 @@ class _Builder(Transformer[Any]):
 @cache
 def _parser(reading: str) -> Lark:
     grammar = Path(__file__).with_name("grammar.lark").read_text(encoding="utf-8")
-    starts = ["step", "header", "datum"]
+    starts = ["step", "header", "datum", "place"]
     grammar += f"\n?expression: {reading}\n"
     return Lark(
         grammar, parser="lalr", start=starts, maybe_placeholders=True, transformer=_Builder()
@@ -179,7 +180,7 @@ def _parser(reading: str) -> Lark:
 
 
 def parse(text: str, start: str, logic_first: bool = True) -> Any:
-    """Return what a line has: of a program's `step` its label and instruction, of a `header`, or of a `datum`.
+    """Return what a line has: of a program's `step` its label and instruction, of a `header`, a `datum`, or its `place`.
 
     Raises:
         SyntaxError: saying what the line has and where.
@@ -207,6 +208,12 @@ def parse_line(text: str) -> Step:
     if label >= 0 or step.entry is None:
         raise SyntaxError("*Missing argument*")
     return step  # type: ignore[no-any-return]  # of the parser
+
+
+def global_cell(memory: Memory, place: Reference) -> Cell:
+    """Return a global variable or an element of an array, made on first use; its index is of numbers."""
+    index = tuple(int(part) for part in place.index or () if part is not None)  # type: ignore[arg-type]
+    return element(memory.variables.setdefault(place.name, {}), place.name, index)
 
 
 # Files.
@@ -307,9 +314,7 @@ class Reader:
             if not self._section:
                 raise SyntaxError("outside of a program; accepted: .PROGRAM name(...)")
             place, value = parse(code, "datum")
-            index = tuple(int(part) for part in place.index or () if part is not None)
-            table = self.memory.variables.setdefault(place.name, {})
-            element(table, place.name, index).store(value)
+            global_cell(self.memory, place).store(value)
 
     def close(self, head: str) -> None:
         """End what has no .END of its own, with a fault."""
