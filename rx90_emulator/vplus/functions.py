@@ -7,13 +7,15 @@ import operator
 import re
 import time
 from collections.abc import Iterable
+from functools import partial
+from itertools import takewhile
 from typing import Any, Final
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_emulator.vplus.task import Task, configuration
-from rx90_emulator.vplus.transformations import frame, inverse, placed, six, trans
+from rx90_emulator.vplus.transformations import X, Y, Z, frame, inverse, placed, six, trans, turned
 from rx90_emulator.vplus.tree import Tree, entries
 from rx90_emulator.vplus.values import NUMBERS, Cell, Format, Joints, Value, VplusError
 
@@ -93,11 +95,9 @@ def _decoded(source: Cell, delimiters: str, mode: float | None = None) -> str:
     if not isinstance(text, str):
         raise VplusError("Undefined value", source.name)
     wants_marks = (mode or 0.0) > 0.0
-    count = 0
-    while count < len(text) and (text[count] in delimiters) == wants_marks:
-        count += 1
-    source.store(text[count:])
-    return text[:count]
+    taken = "".join(takewhile(lambda mark: (mark in delimiters) == wants_marks, text))
+    source.store(text[len(taken) :])
+    return taken
 
 
 def _error_text(number: int) -> str:
@@ -190,9 +190,9 @@ _VALUES: Final[dict[str, Any]] = {
     "SHIFT  place real? real? real?": lambda place, *by: trans(*by) @ place,
     "SCALE  place real": lambda place, factor: placed(place[:3, :3], factor * place[:3, 3]),
     "FRAME  place place place place": frame,
-    "RX  real": lambda angle: trans(0.0, 0.0, 0.0, -90.0, angle, 90.0),
-    "RY  real": lambda angle: trans(0.0, 0.0, 0.0, 0.0, angle),
-    "RZ  real": lambda angle: trans(0.0, 0.0, 0.0, angle),
+    "RX  real": partial(turned, X),
+    "RY  real": partial(turned, Y),
+    "RZ  real": partial(turned, Z),
     "DX  place": lambda place: place[0, 3].item(),
     "DY  place": lambda place: place[1, 3].item(),
     "DZ  place": lambda place: place[2, 3].item(),

@@ -24,12 +24,6 @@ _HAND: Final = {"O": (3001, -3002), "C": (-3001, 3002), "R": (-3001, -3002)}
 """Signals of the hand: open, closed, relaxed."""
 _BETWEEN: Final = re.compile(r"\s*,\s*|\s+")
 _CONFIGURATIONS: Final = ("RIGHTY", "LEFTY"), ("ABOVE", "BELOW"), ("NOFLIP", "FLIP")
-_SWITCHED: Final = {
-    "CPON": {"CP": 1.0},
-    "CPOFF": {"CP": 0.0},
-    "NULL": {"NULL": 1.0},
-    "NONULL": {"NULL": 0.0},
-}
 _REFUSED: Final = {
     "VPICTURE VLOCATE VFEATURE VSHOW VTRAIN VDISPLAY": "vision is not emulated",
     "ALTER ALTON ALTOFF": "ALTER needs a licensed option",
@@ -38,6 +32,7 @@ _REFUSED: Final = {
     "EXECUTE ABORT KILL": "one task is emulated",
     "MOVEF MOVESF": "they belong to other arms",
     "DEVICE SETDEVICE DDCMP": "no devices are emulated",
+    "GETC PACK $UNPACK INTB LNGB FLTB $INTB $LNGB $FLTB": "bytes are not emulated",
 }
 
 
@@ -49,7 +44,7 @@ def _nothing(*_: object) -> None:
 
 
 def _begin_for(
-    task: Task, variable: Cell, first: float, limit: float, increment: float | None
+    task: Task, variable: Cell, first: float, limit: float, increment: float | None = None
 ) -> None:
     if increment == 0.0:
         raise VplusError("Illegal value", "STEP 0")
@@ -243,10 +238,6 @@ def _choose(task: Task, **values: float) -> None:
     (task.always if "ALWAYS" in task.step.modifiers else task.next).update(values)
 
 
-def _switch_choice(task: Task) -> None:
-    _choose(task, **_SWITCHED[task.step.word])
-
-
 def _set_tolerance(task: Task, percent: float = 100.0) -> None:
     _choose(task, FINE=percent * (1.0 if task.step.word == "FINE" else 10.0))
 
@@ -264,11 +255,13 @@ def _set_speed(task: Task, speed: float, rotary: float | None = None) -> None:
 
 
 def _set_ramps(task: Task, *ramps: float | None) -> None:
-    chosen = zip(("UP", "DOWN"), ramps, strict=False)
-    task.always.update({name: value for name, value in chosen if value is not None})
+    """Set the accelerations; those out of range are clipped, as the manual says."""
+    for name, percent in zip(("UP", "DOWN"), ramps, strict=False):
+        if percent is not None:
+            task.always[name] = min(max(percent, 1.0), 1000.0)
 
 
-def _set_profile(task: Task, profile: float | None, *ramps: float | None) -> None:
+def _set_profile(task: Task, profile: float | None = None, *ramps: float | None) -> None:
     task.always["SMOOTH"] = profile or 0.0
     _set_ramps(task, *ramps)
 
@@ -378,7 +371,7 @@ def _ask(task: Task, question: str, *targets: Cell) -> Waits:
         target.store(answer if target.name[0] == "$" else bounded(number_of(part)))
 
 
-def _attach(task: Task, unit: Tree, *_: object) -> None:
+def _attach(task: Task, unit: Tree = None, *_: object) -> None:
     """Give a free unit of input and output where a variable stands for it, or take it back."""
     if isinstance(unit, Reference):
         task.attached = task.step.word == "ATTACH()"
@@ -419,11 +412,14 @@ _ACTIONS: Final[dict[str, Any]] = {
     "BREAK": _break,
     "BRAKE": lambda task: task.queue.stop(),
     "LEFTY RIGHTY ABOVE BELOW FLIP NOFLIP": _configure,
-    "CPON CPOFF NULL NONULL": _switch_choice,
+    "CPON": partial(_choose, CP=1.0),
+    "CPOFF": partial(_choose, CP=0.0),
+    "NULL": partial(_choose, NULL=1.0),
+    "NONULL": partial(_choose, NULL=0.0),
     "FINE COARSE  percent?": _set_tolerance,
     "SPEED  real percent?": _set_speed,
-    "ACCEL  percent? percent?": _set_ramps,
-    "ACCEL()  real? percent? percent?": _set_profile,
+    "ACCEL  real? real?": _set_ramps,
+    "ACCEL()  real? real? real?": _set_profile,
     "DURATION  seconds": lambda task, seconds: _choose(task, DURATION=seconds),
     "OPEN CLOSE RELAX": _set_hand,
     "OPENI CLOSEI RELAXI": _set_hand_now,
@@ -451,4 +447,4 @@ _ACTIONS: Final[dict[str, Any]] = {
 CONTROL: Final = entries(_CONTROL, of_task=True)
 INSTRUCTIONS: Final = CONTROL | entries(_ACTIONS, of_task=True)
 REFUSED: Final = {word: reason for words, reason in _REFUSED.items() for word in words.split()}
-"""Instructions that are not there, and why."""
+"""Instructions and functions that are not there, and why."""

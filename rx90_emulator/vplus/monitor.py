@@ -13,6 +13,7 @@ import socket
 import time
 import tty
 from collections.abc import Callable, Generator
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -22,12 +23,12 @@ from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import plain
 from rx90_emulator.vplus.cell import Cell
 from rx90_emulator.vplus.instructions import CONTROL
-from rx90_emulator.vplus.program import load_programs, parse_line, read
+from rx90_emulator.vplus.program import global_cell, load_programs, parse, parse_line, read
 from rx90_emulator.vplus.task import OF_EXECUTE, Frame, Task, Waits
 from rx90_emulator.vplus.transformations import six_numbers, trans
 from rx90_emulator.vplus.tree import Memory, Program
 from rx90_emulator.vplus.values import Cell as Variable
-from rx90_emulator.vplus.values import Joints, LoadError, Value, VplusError, element, plain_name
+from rx90_emulator.vplus.values import Joints, LoadError, Value, VplusError
 
 
 class Ask(str):
@@ -46,8 +47,9 @@ _CALLED: Final = re.compile(
 )
 _LONGEST_LINE: Final = 1000
 _MOST_BYTES: Final = 4096
-_MOST_BEATS: Final = 20
-"""Beats that are made up for at once; a machine that is slower than that is slower than the wall clock."""
+"""In a beat."""
+_LATEST: Final = 0.3
+"""Time that is made up for, s; a machine that is slower than that is slower than the wall clock."""
 _INTERRUPT: Final = 3
 _BITS: Final = 10
 """Of a byte on a line with 8 data bits, no parity and a stop bit."""
@@ -92,11 +94,6 @@ class Monitor:
         """Return whether a command runs that takes no line."""
         return not self._asks
 
-    @property
-    def is_programs(self) -> bool:
-        """Return whether a program has all that is typed, between its READs, too."""
-        return self.program is not None and self.task.attached
-
     def receive(self, data: bytes) -> None:
         """Take bytes from the terminal: make lines of them, and do what they say."""
         for character in data.decode("latin-1"):
@@ -113,7 +110,9 @@ class Monitor:
         self._take_lines()
 
     def _take_lines(self) -> None:
-        while self._lines and (self._reads or (self._asks and not self.is_programs)):
+        """Take lines for whoever asks; a program with a unit has all of them, between its READs, too."""
+        has_unit = self.program is not None and self.task.attached
+        while self._lines and (self._reads or (self._asks and not has_unit)):
             line = self._lines.pop(0)
             self._send(f"{line}\r\n")
             if self._reads:
@@ -241,12 +240,6 @@ def _numbers(value: Any) -> tuple[float, ...]:
     return value if isinstance(value, Joints) else six_numbers(value)
 
 
-def _name(text: str) -> str:
-    if not re.fullmatch(r"[$#]?[A-Za-z][\w.]*", text):
-        raise VplusError("Illegal value", f"name {plain(text)}")
-    return plain_name(text)
-
-
 def _here(monitor: Monitor, text: str) -> Dialogue:
     yield from _do(monitor, "BREAK")
     yield from _do(monitor, f"HERE {text}")
@@ -255,10 +248,10 @@ def _here(monitor: Monitor, text: str) -> Dialogue:
 
 def _point(monitor: Monitor, text: str) -> Dialogue:
     """Show a location, and store what is typed instead, until an empty line."""
-    name = _name(text.partition("=")[0].strip())
-    if "=" in text:
+    name, equals, _ = text.partition("=")
+    cell = global_cell(monitor.task.memory, parse(name, "place"))
+    if equals:
         yield from _do(monitor, f"SET {text}")
-    cell = element(monitor.task.memory.variables.setdefault(name, {}), name)
     if cell.value is None:
         cell.store(Joints([0.0] * 6) if name[0] == "#" else np.eye(4))
     while True:
@@ -296,8 +289,8 @@ def _list_places(monitor: Monitor, text: str) -> Dialogue:
         yield f"{cell.name:<10} {_text(cell.value)}"
 
 
-def _list_values(monitor: Monitor, text: str) -> Dialogue:
-    for cell in _variables(monitor, text, (float, str)):
+def _list_values(monitor: Monitor, text: str, kind: type) -> Dialogue:
+    for cell in _variables(monitor, text, kind):
         yield f"{cell.name} = {_text(cell.value)}"
 
 
@@ -421,8 +414,7 @@ def _zero(monitor: Monitor, _: str) -> Dialogue:
 
 def _edit(monitor: Monitor, text: str) -> Dialogue:
     programs = monitor.task.memory.programs
-    name = _name(text.partition("(")[0].strip())
-    present = programs.get(name)
+    present = programs.get(parse(f".PROGRAM {text}", "header").name)
     lines = [*present.text] if present is not None else []
     while True:
         answer = yield Ask(f"{len(lines) + 1:5d} ? ")
@@ -449,8 +441,8 @@ COMMANDS: Final[dict[str, str | Command]] = {
     "HERE": _here,
     "POINT": _point,
     "LISTL": _list_places,
-    "LISTR": _list_values,
-    "LISTS": _list_values,
+    "LISTR": partial(_list_values, kind=float),
+    "LISTS": partial(_list_values, kind=str),
     "LISTP": _list_programs,
     "DIRECTORY": _directory,
     "EXECUTE": _execute,
@@ -514,41 +506,22 @@ def serve(
                     _exchange(client.fileno(), monitor, output, baud, waits)
 
 
-class _Way:
-    """One direction of a line: how many bytes have had the time to pass."""
-
-    def __init__(self, baud: int | None) -> None:
-        self._byte_time = 0.0 if baud is None else _BITS / baud
-        self._clear = time.monotonic()
-
-    def room(self, *, waiting: bool) -> int:
-        """Return the number of bytes that may pass now; while none wait, the time that goes by is of no use later."""
-        now = time.monotonic()
-        if not waiting:
-            self._clear = now
-        if self._byte_time == 0.0:
-            return _MOST_BYTES
-        return min(int((now - self._clear) / self._byte_time), _MOST_BYTES)
-
-    def take(self, count: int) -> None:
-        """Let bytes pass."""
-        self._clear += count * self._byte_time
-
-
 def _exchange(
     line: int, monitor: Monitor, output: bytearray, baud: int | None, waits: bool
 ) -> None:
     """Exchange bytes with a terminal, and let the time of the cell pass with the wall clock, until it has gone."""
-    cell = monitor.task.cell
-    incoming = _Way(baud)
-    outgoing = _Way(baud)
+    period = monitor.task.cell.period
     output[:] = b"."
     monitor.returns = False
-    began = time.monotonic() - cell.time
+    due = time.monotonic()
+    passed = 0.0  # bytes each way, so far
     while True:
-        time.sleep(max(began + cell.time + cell.period - time.monotonic(), 0.0) if waits else 0.0)
+        due = max(due + period, time.monotonic() - _LATEST)
+        time.sleep(max(due - time.monotonic(), 0.0) if waits else 0.0)
+        before = int(passed)
+        passed += _MOST_BYTES if baud is None else period * baud / _BITS
+        room = int(passed) - before
         ready, free, _ = select.select([line], [line] if output else [], [], 0.0)
-        room = incoming.room(waiting=bool(ready))
         if ready and room:
             try:
                 data = os.read(line, room)
@@ -556,15 +529,8 @@ def _exchange(
                 data = b""
             if not data:
                 return
-            incoming.take(len(data))
             monitor.receive(data)
-        late = time.monotonic() - began - cell.time if waits else cell.period
-        for _ in range(min(int(late / cell.period), _MOST_BEATS)):
-            monitor.beat()
-        if late > _MOST_BEATS * cell.period:
-            began = time.monotonic() - cell.time
-        room = outgoing.room(waiting=bool(free))
+        monitor.beat()
         if free and room:
             count = os.write(line, output[:room])
-            outgoing.take(count)
             del output[:count]

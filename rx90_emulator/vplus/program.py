@@ -19,6 +19,7 @@ from rx90_emulator.vplus.functions import FUNCTIONS, number_of
 from rx90_emulator.vplus.instructions import INSTRUCTIONS, REFUSED
 from rx90_emulator.vplus.transformations import trans
 from rx90_emulator.vplus.tree import (
+    Entry,
     Function,
     Memory,
     Program,
@@ -28,6 +29,7 @@ from rx90_emulator.vplus.tree import (
     Tree,
 )
 from rx90_emulator.vplus.values import (
+    Cell,
     Format,
     Joints,
     LoadError,
@@ -58,22 +60,24 @@ _INSIDE: Final = {
 # Lines.
 
 
-def _function(name: str, *arguments: Tree) -> Function:
-    entry = FUNCTIONS.get(name.upper())
+def _entry(table: dict[str, Entry], word: str, given: int, unknown: str) -> Entry:
+    entry = table.get(word)
     if entry is None:
-        raise SyntaxError(f"*Undefined program or variable name* {name}(")
-    entry.check(name.upper(), len(arguments))
-    return Function(name.upper(), entry, arguments)
+        reason = REFUSED.get(word.rstrip("()="))
+        raise SyntaxError(f"{word} is not there: {reason}" if reason else unknown)
+    entry.check(word, given)
+    return entry
+
+
+def _function(name: str, *arguments: Tree) -> Function:
+    unknown = f"*Undefined program or variable name* {name}("
+    name = name.upper()
+    return Function(name, _entry(FUNCTIONS, name, len(arguments), unknown), arguments)
 
 
 def _step(word: str, *arguments: Tree, modifiers: tuple[str, ...] = ()) -> Step:
     word = word.upper()
-    if word.rstrip("()=") in REFUSED:
-        raise SyntaxError(f"{word} is not there: {REFUSED[word.rstrip('()=')]}")
-    entry = INSTRUCTIONS.get(word)
-    if entry is None:
-        raise SyntaxError("*Unknown instruction*")
-    entry.check(word, len(arguments))
+    entry = _entry(INSTRUCTIONS, word, len(arguments), "*Unknown instruction*")
     return Step(word, entry, arguments, modifiers)
 
 
@@ -168,7 +172,7 @@ class _Builder(Transformer[Any]):
 @cache
 def _parser(reading: str) -> Lark:
     grammar = Path(__file__).with_name("grammar.lark").read_text(encoding="utf-8")
-    starts = ["step", "header", "datum"]
+    starts = ["step", "header", "datum", "place"]
     grammar += f"\n?expression: {reading}\n"
     return Lark(
         grammar, parser="lalr", start=starts, maybe_placeholders=True, transformer=_Builder()
@@ -176,7 +180,7 @@ def _parser(reading: str) -> Lark:
 
 
 def parse(text: str, start: str, logic_first: bool = True) -> Any:
-    """Return what a line has: of a program's `step` its label and instruction, of a `header`, or of a `datum`.
+    """Return what a line has: of a program's `step` its label and instruction, of a `header`, a `datum`, or its `place`.
 
     Raises:
         SyntaxError: saying what the line has and where.
@@ -204,6 +208,12 @@ def parse_line(text: str) -> Step:
     if label >= 0 or step.entry is None:
         raise SyntaxError("*Missing argument*")
     return step  # type: ignore[no-any-return]  # of the parser
+
+
+def global_cell(memory: Memory, place: Reference) -> Cell:
+    """Return a global variable or an element of an array, made on first use; its index is of numbers."""
+    index = tuple(int(part) for part in place.index or () if part is not None)  # type: ignore[arg-type]
+    return element(memory.variables.setdefault(place.name, {}), place.name, index)
 
 
 # Files.
@@ -304,9 +314,7 @@ class Reader:
             if not self._section:
                 raise SyntaxError("outside of a program; accepted: .PROGRAM name(...)")
             place, value = parse(code, "datum")
-            index = tuple(int(part) for part in place.index or () if part is not None)
-            table = self.memory.variables.setdefault(place.name, {})
-            element(table, place.name, index).store(value)
+            global_cell(self.memory, place).store(value)
 
     def close(self, head: str) -> None:
         """End what has no .END of its own, with a fault."""

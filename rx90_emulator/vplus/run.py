@@ -212,7 +212,7 @@ def _beat(cell: Cell) -> None:
 # What is told of a run.
 
 
-_COLUMNS = "line,motion,begin s,end s,taken s,alone s,error mm,null s,null mm,joints in degrees"
+_COLUMNS = "line,motion,begin s,end s,taken s,alone s,null s,error mm,null mm,joints in degrees"
 _WIDTHS = "<20", "<8", *[">8"] * 7, "<1"
 
 
@@ -222,9 +222,9 @@ def table(run: ProgramRun) -> list[list[str]]:
     for motion in run.motions:
         taken = motion.ended - motion.began
         nulling = motion.settled - motion.ended
-        times = [motion.began, motion.ended, taken, motion.profile.duration]
+        times = (motion.began, motion.ended, taken, motion.profile.duration, nulling)
         figures = [f"{time:.3f}" for time in times]
-        figures += [f"{motion.error:.4f}", f"{nulling:.3f}", f"{motion.nulled:.4f}"]
+        figures += [f"{way:.4f}" for way in (motion.error, motion.nulled)]
         ends = [
             " ".join(f"{joint:.1f}" for joint in run.cell.arm.joints(q))
             for q in (motion.start, motion.end)

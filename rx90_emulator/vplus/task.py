@@ -194,7 +194,7 @@ class Task:
         scope: Scope = {name: {} for name in program.automatic}
         for parameter, argument in zip(program.parameters, arguments, strict=False):
             if isinstance(argument, Reference):
-                whole = argument.index is not None and not any(map(_is_given, argument.index))
+                whole = set(argument.index or ()) == {None}
                 scope[parameter] = self.table(argument) if whole else {(): self.cell_of(argument)}
             elif argument is not None:
                 element(scope[parameter], parameter).store(self.value(argument))
@@ -337,11 +337,12 @@ class Task:
         )
 
     def values(self, kinds: list[str], arguments: tuple[Tree, ...]) -> list[Any]:
-        """Return what an action gets for arguments; the last kind may come any number of times."""
+        """Return what an action gets for arguments, up to the last that is given; the last kind may come many times."""
         repeated = [*kinds, *kinds[-1:] * len(arguments)]
-        return [
-            self.taken(kind, argument) for kind, argument in zip(repeated, arguments, strict=False)
-        ]
+        values = [self.taken(*pair) for pair in zip(repeated, arguments, strict=False)]
+        while values and values[-1] is None:
+            values.pop()
+        return values
 
     def taken(self, kind: str, argument: Tree) -> Any:
         """Return what an action gets for an argument: the value of a kind.
@@ -403,10 +404,6 @@ class Task:
         )
         flange = inverse(self._stand) @ place @ inverse(self.tool)
         return self.arm.solve_target(flange, posture, self.queue.destination)
-
-
-def _is_given(tree: Tree) -> bool:
-    return tree is not None
 
 
 def configuration(posture: Branch) -> list[bool]:

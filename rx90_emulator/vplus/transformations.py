@@ -10,7 +10,7 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.description.rotations import axis_rotation
 
-_X, _Y, _Z = np.eye(3)
+X, Y, Z = np.eye(3)
 _SMALLEST = 1e-9
 _UPRIGHT = 1.25e-4
 """Sine of the pitch below which yaw and roll are about one axis: the yaw is 0 then, and the roll has all.
@@ -37,7 +37,7 @@ def six(numbers: Iterable[float | None]) -> list[float]:
 def trans(*numbers: float | None) -> Array:
     """Return the transformation of x, y, z, yaw, pitch and roll; what is left out is 0."""
     x, y, z, yaw, pitch, roll = six(numbers)
-    place = turned(_Z, yaw) @ turned(_Y, pitch) @ turned(_Z, roll)
+    place = turned(Z, yaw) @ turned(Y, pitch) @ turned(Z, roll)
     place[:3, 3] = x, y, z
     return place
 
@@ -47,7 +47,7 @@ def six_numbers(place: Array) -> tuple[float, ...]:
     yaw = 0.0
     if math.hypot(place[0, 2], place[1, 2]) > _UPRIGHT:
         yaw = math.degrees(math.atan2(place[1, 2], place[0, 2]))
-    level = turned(_Z, -yaw) @ place
+    level = turned(Z, -yaw) @ place
     pitch = math.degrees(math.atan2(abs(level[0, 2]), level[2, 2]))
     roll = math.degrees(math.atan2(level[1, 0], level[1, 1]))
     return (*place[:3, 3].tolist(), yaw, pitch, roll)

@@ -136,6 +136,8 @@ def test_the_seam_is_straight_and_as_accurate_as_the_same_line(shipped: Setup) -
         ("BITS 1, 4 = 5\nLOCK 2\nDECOMPOSE j[0] = #PHERE\nTYPE BITS(1,4), /F4.0, j[1], /I0, 7", " 5 -907"),
         ("TYPE DEFINED(x)\nx = 1\nTYPE DEFINED(x)", " 0| -1"),
         ("ATTACH ()\nACCEL (1) 50\nDETACH (0)\nTYPE ACCEL(1), ACCEL(2)", " 50 100"),
+        ('WAIT.EVENT 1,\nBITS 1, = 1\nREACT 5, p,\nSIGNAL 5\nTYPE POS("ab", "b",), BITS(1,)', " 2 1| 2 1"),
+        ("ACCEL 0, 2000\nTYPE ACCEL(1), ACCEL(2)", " 1 1000"),
         ('.PROGRAM p()\nx = 1\nCALLS "q"(x)\nTYPE x\n.END\n.PROGRAM q(a)\na = 2\n.END', " 2"),
         ("JMOVE 5, -80\nBREAK\nJHERE a, b, c\nTYPE INT(a+0.5), INT(b-0.5), INT(c+0.5)", " 5 -80 90"),
         ("SIGNAL 1, -2, 3\nTYPE SIG(1,-2), SIG(2), BITS(1,3)", " -1 0 5"),
@@ -168,7 +170,8 @@ def test_a_reading_changes_how_and_binds_and_is_warned_of(shipped: Setup) -> Non
             "x = SIN()\nMOVE\ny = foo(1)",
             ["SIN has 0 arguments; accepted: real", "MOVE has 0", "*Undefined program"],
         ),
-        ("VPICTURE (1)\nALTER () 1\nNONSENSE 3", ["vision is not emulated", "ALTER needs", "*Unknown instruction*"]),
+        ("VPICTURE (1)\nALTER () 1\nx = GETC(5)", ["vision is not emulated", "ALTER needs", "GETC is not there"]),
+        ("NONSENSE 3\nx = foo(1)", ["*Unknown instruction*", "*Undefined program or variable name* foo("]),
         ("x = 1\nAUTO y", ["stands behind an executable line"]),
         ("x = (1\nto = 3\nx = 1 +", ["2: 'x = (1': the line ends", "to is a reserved word", "'x = 1 +': the"]),
         ("TYPE " + "-" * 240 + "1", []),  # a fault or none, by the interpreter's depth, and no RecursionError
