@@ -11,7 +11,6 @@ import scipy.io
 from bag_making import joint_state, write_ros2
 from processes import files_up_to
 
-from rx90_common.bags import exporting
 from rx90_common.bags.exporting import export_bag
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_bag
@@ -93,23 +92,6 @@ def test_npz_arrays_go_to_matlab(bag: Path, tmp_path: Path) -> None:
     assert loaded["velocity_rad_s"].tobytes(order="C") == series.velocity.tobytes()
     assert loaded["stamp_ns"].ravel().tolist() == series.stamp_ns.tolist()
     assert [str(name).strip() for name in loaded["names"]] == list(NAMES)
-
-
-@pytest.mark.parametrize("name", ["out", "one.csv"])
-def test_who_interrupts_leaves_nothing(
-    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
-    """Ctrl-C in the middle of an export ends with 130, and no file stands there."""
-
-    def interrupted(path: Path, *_: object) -> None:
-        path.write_text("half a table", encoding="utf-8")
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(exporting, "FORMATS", dict.fromkeys(exporting.FORMATS, interrupted))
-    words = ["export", str(bag), "--output", str(tmp_path / name), "--topic", "joint_states"]
-    assert run("rx90 bag", words) == 130
-    assert "interrupted; nothing was written" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["all.npz", "one.csv", "one.parquet", "folder"])

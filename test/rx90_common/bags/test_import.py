@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from processes import files_up_to
 from rosbags.highlevel import AnyReader
 
 from rx90_common.bags.exporting import export_bag
@@ -224,20 +223,6 @@ def test_an_exact_log_is_taken_as_it_stands(tmp_path: Path) -> None:
     series = imported(tmp_path, PLAIN + "exact: true\n", "1,nan,2\n0,inf,3\n0,4,-1e12\n")
     assert series.stamp_ns.tolist() == [0, 0, 10**9]
     assert np.array_equal(series.position, [[np.inf, 3.0], [4.0, -1e12], [np.nan, 2.0]], equal_nan=True)
-
-
-@pytest.mark.parametrize("limit", [30_000, 100_000])
-def test_a_full_disk_leaves_no_part_of_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str], limit: int) -> None:
-    """Where the bag has no room: 3, one line, and no part of the bag."""
-    numbers = np.random.default_rng(1).standard_normal((2000, 2))  # which no compression shortens
-    lines = (f"{k / 1000},{','.join(map(repr, row))}" for k, row in enumerate(numbers.tolist()))
-    log = write(tmp_path / "log.csv", "\n".join(lines))
-    write(tmp_path / "log.yaml", PLAIN)
-    with files_up_to(limit):
-        assert run("rx90 bag", ["import", str(log), str(tmp_path / "new" / "bag")]) == 3
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line == f"rx90 bag: {tmp_path}/new/bag: cannot be written (File too large)"
-    assert not list((tmp_path / "new").iterdir())
 
 
 def test_efforts_in_amperes_stay_amperes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,19 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from signed_element import ELEMENT
 
-from rx90_common.friction import elasto_plastic
 from rx90_common.friction.bristle import bristle_step
 from rx90_common.friction.compiled_elements import element_arrays, one_element
 from rx90_common.friction.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 
 COMPILED = one_element(element_arrays((ELEMENT,))[0], 0)
-
-
-def test_the_rule_is_gauss_s() -> None:
-    """Nodes and weights are those of numpy's Gauss-Legendre rule."""
-    nodes, weights = np.polynomial.legendre.leggauss(16)
-    np.testing.assert_allclose(elasto_plastic._NODES, nodes[8:], rtol=1e-14)
-    np.testing.assert_allclose(elasto_plastic._WEIGHTS, weights[8:], rtol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(50))
