@@ -1,13 +1,11 @@
-"""An arm with all that is off in the shipped ones, in running nodes: the bits of the engine, of a reset, of a bag.
-
-One start of both nodes serves all: a run, a reset, the same run, and time that goes on.
-"""
+"""Arms with all that is off in the shipped ones, and of other numbers of joints, in nodes: the bits of the engine."""
 
 from __future__ import annotations
 
 import re
 import signal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +16,7 @@ from processes import Processes
 from ros_client import JOINTS, Client, seconds
 
 import rx90_emulator as rx
+from benchmarks.any_arm import joint_names, write_arm
 from rx90_common.bags.comparison import Verdict, compare_bags
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.tables import comparison_text
@@ -170,3 +169,49 @@ def test_all_parts_of_an_arm_in_nodes(
     assert [int(count) > 0 for count in values["saturated ticks"].split()] == [False, True] + [False] * 4
     # Once as the first run makes it warm, and once as time goes on after the reset, at the most.
     assert 1 <= len(re.findall(rf"\[WARN\].*{text}", output)) <= 2
+
+
+SHORT = 0.3  # s
+
+
+def by_stamp(heard: list[Any]) -> dict[float, Any]:
+    """Return messages by their stamps, s."""
+    return {seconds(message): message for message in heard}
+
+
+def test_nodes_of_seven_joints_give_the_engines_bits(processes: Processes, client: Client, tmp_path: Path) -> None:
+    """In lock-step all states of a short motion, as heard and as recorded, are those of the loop without ROS."""
+    folder = write_arm(tmp_path / "arm", 7)
+    # The engine first, which leaves its compiled code to the nodes.
+    setup, goal = rx.load_setup(robot=folder), np.full((1, 7), 0.05)
+    points = TrajectoryPoints(np.array([0.25]), goal, np.zeros((1, 7)), None)
+    motion = simulate_commands(setup, (MotionCommand(0, points),), np.zeros(7), SHORT, record_fast=True)
+    write_bag(motion, tmp_path / "engine")
+    slow, given = motion.slow, ["-p", f"robot:={folder}"]
+    for name, value in (("paused", "true"), ("duration", SHORT), ("real_time_factor", 0.0)):
+        given += ["-p", f"rx90_sim:{name}:={value}"]
+    simulation, controller = (processes.start(name, "--ros-args", *given) for name in ("rx90_sim", "rx90_controller"))
+    states, friction = client.listen("joint_states"), client.listen("friction_states")
+    simulation.wait_for("]: ready: ")
+    recorder = processes.start("rx90 bag", "record", "--output", tmp_path / "nodes")
+    recorder.wait_for("ready: all")
+    client.send([(0.25, goal[0].tolist())], joint_names(7))
+    client.known_to("rx90_sim")
+    client.simulation.pause(False)
+    count = round(SHORT * 1000)
+    # While time stands still, the newest sample comes again.
+    client.spin_until(lambda: len(by_stamp(states)) == len(by_stamp(friction)) == count, "all states")
+    assert simulation.wait() == 0
+    for process in (controller, recorder):
+        process.signal(signal.SIGINT)
+        assert process.wait() == 0, process.output
+    the_same(tmp_path / "nodes", tmp_path / "engine")
+    for heard, names, rows in (
+        (states, setup.robot.joint_names, slow.joint_states),
+        (friction, setup.friction.names, slow.friction_states),
+    ):
+        assert tuple(heard[0].name) == names
+        samples = by_stamp(heard).values()
+        got = np.array([[message.position, message.velocity, message.effort] for message in samples])
+        assert got.tobytes() == rows.tobytes()
+    assert np.abs(slow.joint_states[-1, 0] - 0.05).max() < 1e-3
