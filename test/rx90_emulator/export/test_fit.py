@@ -74,9 +74,10 @@ def test_step_laws_keep_the_break_away_torque() -> None:
     assert math.isinf(fit.stiffness[1])
 
 
-@pytest.mark.parametrize("speeds", [None, (0.01, 1.0), (0.5, 2.0)])
-@pytest.mark.parametrize("target", ["urdf", "sdf", "isaaclab"])
-@pytest.mark.parametrize("robot", ["rx90b", "tx40"])
+@pytest.mark.parametrize(
+    ("robot", "target", "speeds"),
+    [("rx90b", "urdf", None), ("rx90b", "sdf", (0.01, 1.0)), ("rx90b", "isaaclab", (0.5, 2.0)), ("tx40", "urdf", None)],
+)
 def test_errors_of_the_wrist_where_its_speeds_cancel(
     robot: str, target: str, speeds: tuple[float, float] | None
 ) -> None:
