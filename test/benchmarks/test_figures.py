@@ -22,21 +22,6 @@ def test_pages_hold_what_is_generated() -> None:
     assert MEASURED.read_text(encoding="utf-8") == as_text(add(measured, {}))
 
 
-RATIO, LARGEST = 242.73, 6310.98  # gear and largest torque, Nm, with which Yan, Li and Meng (2020) go to the joint
-
-
-def test_numbers_are_those_that_were_carried_to_the_joint() -> None:
-    """Times the largest torque, and over the gear, they give the joint-side values printed beside the originals."""
-    assert pytest.approx(196.27, abs=0.005) == paper.COULOMB * LARGEST
-    assert pytest.approx(-157.77, abs=0.005) == paper.STATIC * LARGEST
-    assert pytest.approx(10.1, abs=0.05) == paper.STATIC_TEMPERATURE * LARGEST
-    assert pytest.approx(0.038, abs=0.0005) == paper.SPEED_LOAD / RATIO
-    assert pytest.approx(-0.1022, abs=0.00005) == paper.SPEED / RATIO
-    assert pytest.approx(0.004, abs=0.0005) == paper.SPEED_TEMPERATURE / RATIO
-    assert pytest.approx(199.14, abs=0.005) == paper.VISCOUS * LARGEST * RATIO
-    assert pytest.approx(2022.06, abs=0.01) == paper.VISCOUS_TEMPERATURE * LARGEST * RATIO
-
-
 def test_an_element_repeats_load_and_temperature() -> None:
     """For every load and temperature, each and together, the element's curve is the paper's."""
     for load in paper.LOADS:

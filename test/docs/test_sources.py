@@ -271,18 +271,6 @@ def test_every_page_that_is_named_is_there() -> None:
     assert not wrong
 
 
-def test_every_page_is_reached_from_the_first() -> None:
-    """From docs/index.md links lead to every page and notebook of docs/."""
-    reached, open_pages = set(), [ROOT / "docs/index.md"]
-    while open_pages:
-        page = open_pages.pop()
-        if page not in reached:
-            reached.add(page)
-            targets = [(page.parent / urlsplit(target).path).resolve() for target in links(page)]
-            open_pages += [target for target in targets if target in PAGES]
-    assert reached >= {page for page in PAGES if page.is_relative_to(ROOT / "docs")}
-
-
 def test_tests_that_a_page_names_are_there() -> None:
     """Where a page says `test_file.py::test_name`, one file of that name has that test."""
     wrong = []

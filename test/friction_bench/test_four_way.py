@@ -80,26 +80,6 @@ def test_multibody_model_creeps_as_its_friction_asks() -> None:
         assert motor / RATIO == pytest.approx(brentq(balance, 0.0, STICTION), rel=0.02)
 
 
-def test_multibody_model_slides_with_the_friction_that_is_left() -> None:
-    """After break-away T s' + s = (smooth friction - f_c) / f_v, s being by how much it is slower than the closed form.
-
-    That is the difference of both equations of motion: static friction at first, falling, then none.
-    """
-    model = RampModel(0.2297, 0.0321, 6.3e-5, 0.55, 0.02)
-    static = model.coulomb + model.release
-    levels = [-static, static, model.coulomb, model.coulomb]
-    smooth = CubicHermiteSpline([-STICTION, STICTION, 1.5 * STICTION, 100.0], levels, np.zeros(4))
-    time = np.linspace(0.55, 1.2, 1301)
-    found = simulate_multibody(model, 0.0, RATIO, time)
-    slower = model.velocity(time) - found
-    balance = model.time_constant * np.gradient(slower, time) + slower
-    left = smooth(found / RATIO) - model.coulomb
-    whole = model.release / model.viscous
-    assert balance == pytest.approx(left / model.viscous, abs=0.02 * whole)
-    assert slower.max() > 0.8 * whole
-    assert abs(slower[-1]) < 1e-3 * whole
-
-
 def test_comparison_has_the_experiment_and_the_source_s_own_input() -> None:
     """Four velocities under the ramp, three under slope 1 from 2 s to the same torque; models differ before break-away.
 

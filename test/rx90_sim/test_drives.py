@@ -17,8 +17,6 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import COPPER, IDEAL_SENSOR, Cogging, CurrentSensor, Windings
 from rx90_common.kernels.compiled import kernel
-from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.parameters import with_parameters
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.drives import add_cogging, current_shares, fill_windings, warm_motors, warm_windings, winding_dtype
@@ -346,27 +344,6 @@ def test_what_is_reported_has_whole_steps(shipped: Setup) -> None:
         steps = reported[0] / resolution
         assert steps == pytest.approx(np.round(steps), abs=1e-9)
         assert np.all(np.abs(reported[0] - true[0]) <= 0.5 * resolution + 1e-12)
-
-
-def test_the_same_seed_gives_the_same_bits(shipped: Setup) -> None:
-    """Engine, ticks and a run after a reset have the same noise for a seed, and another one for another seed."""
-    names, rest = shipped.robot.joint_names, np.zeros(6)
-    move = TrajectoryPoints.create(names, names, [0.0, 0.1], [rest, rest + 0.01], [rest] * 2, [[]] * 2)
-    setup = sensed(shipped, IDEAL_SENSOR.replaced(offset=OFFSET, noise=NOISE, resolution=np.full(6, 1e-3)), 7)
-    run = simulate(setup, move, rest, 0.15, record_fast=True)
-    assert run.fast is not None
-    plant, law = setup.plant(), setup.cs7b()
-    for _ in range(2):
-        plant.reset(rest)
-        law.reset(plant.motor_states()[0])
-        law.trajectory.accept(move, 0, 0)
-        for k in range(600):
-            states = np.array(plant.motor_states())
-            assert states.tobytes() == run.fast.motor_states[k].tobytes()
-            plant.step(law.step(states[0], states[1]))
-    other = simulate(dataclasses.replace(setup, seed=8), move, rest, 0.15, record_fast=True)
-    assert other.fast is not None
-    assert not np.array_equal(other.fast.motor_states, run.fast.motor_states)
 
 
 def test_the_current_loop_has_one_bandwidth(shipped: Setup) -> None:

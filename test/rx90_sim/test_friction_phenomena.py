@@ -46,16 +46,6 @@ def pull(plants: NDArray[Any], states: NDArray[Any], rate: Array, stiffness: flo
     return -1
 
 
-@kernel
-def hold(plants: NDArray[Any], states: NDArray[Any], force: Array, ticks: int) -> int:
-    """Hold motor torques for many ticks."""
-    for _ in range(ticks):
-        joint = plant_step(plants, states, force, True)
-        if joint >= 0:
-            return joint
-    return -1
-
-
 def mass_with_friction(oracle: Any, force: Callable[[float, float], float]) -> Callable[[float, Array], list[float]]:
     """Return the equations of a unit mass under `force(t, x)` and friction."""
 
@@ -130,19 +120,6 @@ def presliding_loop(record: Any, amplitude: float, frequency: float, cycles: int
     return np.array(rows).reshape(cycles, steps, 2)
 
 
-def test_presliding_hysteresis_is_closed_and_independent_of_rate(record: Callable[[FrictionElement], Any]) -> None:
-    """Cyclic micro-motion gives the same closed loop at rates that differ a hundredfold."""
-    element = FrictionElement(tau_c=25.0, tau_s=32.0, omega_s=0.05, delta=1.0, c0=1e5, c1=100.0, c2=14.0)
-    amplitude = 2.5e-4  # 0.8 of the break-away deflection
-    slow, fast = (presliding_loop(record(element), amplitude, f, cycles=30, steps=800) for f in (0.001, 0.1))
-    torque = slow[..., 1]
-    height = torque[-1].max() - torque[-1].min()
-    area = 0.5 * abs(np.dot(slow[-1, :, 0], np.roll(torque[-1], -1)) - np.dot(torque[-1], np.roll(slow[-1, :, 0], -1)))
-    assert area > 0.1 * height * 2 * amplitude
-    assert np.abs(torque[-1] - torque[-2]).max() < 1e-6 * height
-    assert np.abs(torque[-1] - fast[-1, :, 1]).max() < 0.01 * height
-
-
 @pytest.mark.parametrize(("amplitude", "slope"), [(2.5e-4, None), (1e-2, 2.0)])
 def test_slope_behind_a_reversal_is_that_of_equation_17(
     record: Callable[[FrictionElement], Any], amplitude: float, slope: float | None
@@ -151,11 +128,11 @@ def test_slope_behind_a_reversal_is_that_of_equation_17(
     c0 = 1e5
     static = 32.0
     element = FrictionElement(tau_c=25.0, tau_s=static, omega_s=0.05, delta=1.0, c0=c0, c1=100.0, c2=14.0)
-    loop = presliding_loop(record(element), amplitude, 1e-4, cycles=2, steps=80_000)[-1]
-    turn = 20_000  # a quarter period: the velocity reverses
+    loop = presliding_loop(record(element), amplitude, 1e-4, cycles=2, steps=16_000)[-1]
+    turn = 4_000  # a quarter period: the velocity reverses
     z = loop[turn, 1] / c0
-    before = np.polyfit(*loop[turn - 60 : turn - 5].T, 1)[0]
-    behind = np.polyfit(*loop[turn + 5 : turn + 60].T, 1)[0]
+    before = np.polyfit(*loop[turn - 12 : turn - 1].T, 1)[0]
+    behind = np.polyfit(*loop[turn + 1 : turn + 12].T, 1)[0]
     assert behind == pytest.approx(c0 * (1.0 + z * c0 / static), rel=0.01)
     assert before == pytest.approx(c0 * (1.0 - z * c0 / static), abs=0.01 * c0)
     if slope is not None:
@@ -174,34 +151,14 @@ def test_a_mass_under_constant_load_does_not_creep(
     force = np.append(load, [0.0, 0.0])
     hertz = 1000
     plant = masses(elements, inertia=3.0, base_hz=hertz)
-    assert hold(plant.constants, plant.state, force, 60 * hertz) == -1
-    after_a_minute = plant.joint_states()[0][:4].copy()
+    for _ in range(10 * hertz):
+        plant.step(force)
+    settled = plant.joint_states()[0][:4].copy()
     deflection = load / [e.c0 for e in elements]
     # The bristle settles at load / c0; on its way it loses what slid while it moved.
-    assert np.all(np.abs(after_a_minute) >= np.abs(deflection) * (1 - 1e-6))
-    assert np.all(np.abs(after_a_minute) <= 10 * np.abs(deflection))
-    assert hold(plant.constants, plant.state, force, 60 * hertz) == -1
-    assert np.array_equal(plant.joint_states()[0][:4], after_a_minute)
+    assert np.all(np.abs(settled) >= np.abs(deflection) * (1 - 1e-6))
+    assert np.all(np.abs(settled) <= 10 * np.abs(deflection))
+    for _ in range(5 * hertz):
+        plant.step(force)
+    assert np.array_equal(plant.joint_states()[0][:4], settled)
     assert plant.friction_states()[0][:4] == pytest.approx(deflection, rel=1e-9)
-
-
-def test_lugre_drifts_under_an_oscillating_load_below_break_away(
-    masses: Masses, paper_element: FrictionElement
-) -> None:
-    """A load of 0.25 +- 0.125 of break-away moves a sticking mass, each cycle by what equation 17 integrates to.
-
-    Slowly, c0 z is the load. Equation 17 over the way x gives dx = dz / (1 - z/z_s) on the way up and dz / (1 + z/z_s)
-    on the way back, z_s = tau_s / c0; a cycle between z_1 and z_2 leaves z_s ln[(1 - z_1^2/z_s^2) / (1 - z_2^2/z_s^2)].
-    """
-    frequency, cycles = 5.0, 6
-    plant = masses([paper_element])
-    ticks = round(4000 / frequency)
-    ends = []
-    for k in range((cycles + 1) * ticks):
-        load = paper_element.tau_s.positive * (0.25 - 0.125 * np.cos(2 * np.pi * (k + 0.5) / ticks))
-        plant.step(np.array([load, 0, 0, 0, 0, 0]))
-        if (k + 1) % ticks == 0:
-            ends.append(plant.joint_states()[0][0])
-    way = paper_element.tau_s.positive / paper_element.c0
-    want = way * np.log((1 - 0.125**2) / (1 - 0.375**2))
-    assert np.diff(ends) == pytest.approx(np.full(cycles, want), rel=0.02)

@@ -91,14 +91,13 @@ class ElastoPlasticOracle:
 class MaxwellSlipOracle:
     """Lampaert, Al-Bender, Swevers (2003): blocks with a mode each, stepped from event to event.
 
-    A slipping block is not loaded faster than a sticking one: `bounded`.
+    A slipping block is not loaded faster than a sticking one.
     """
 
     element: FrictionElement
     stiffness: Array
     share: Array
     attraction: float
-    bounded: bool = True
 
     def __post_init__(self) -> None:
         self.slips = np.zeros(len(self.stiffness), np.bool_)
@@ -109,8 +108,7 @@ class MaxwellSlipOracle:
         stuck = self.stiffness * self.element.c0 * v
         steady = math.copysign(float(self.element.sliding_torque(v)), v)
         slip = math.copysign(self.attraction, v) * (self.share - forces / steady)
-        if self.bounded:
-            slip = math.copysign(1.0, v) * np.minimum(math.copysign(1.0, v) * slip, np.abs(stuck))
+        slip = math.copysign(1.0, v) * np.minimum(math.copysign(1.0, v) * slip, np.abs(stuck))
         return np.where(self.slips, slip, stuck)
 
     def torque(self, forces: Array, v: float) -> float:

@@ -8,8 +8,8 @@ when it starts, do nothing.
 What hangs on that is proved where each family of commands starts cold, by its command line as a user does:
 executables of each kind out of an install space (test_packaging.py, simulation and controller together too), all
 without a package that they need (cli/test_nodes.py); rx90 line, rx90 sweep and rx90 run (test_line_command.py,
-sweep/test_command.py, test_wheel.py); a recorder that is stopped in its imports (test_record.py); the nodes' common
-frame (cli/test_nodes.py). A new test of an import, of the first second or of Python's own start belongs there.
+sweep/test_execution.py, test_packaging.py); a recorder that is stopped in its imports (test_record.py); the nodes'
+common frame (cli/test_nodes.py). A new test of an import, of the first second or of Python's own start belongs there.
 """
 
 from __future__ import annotations

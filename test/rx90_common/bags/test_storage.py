@@ -455,15 +455,17 @@ import sys
 from pathlib import Path
 from rx90_common.base.errors import Rx90Error
 from rx90_common.bags.reading import read_joint_bag
-try:
-    read_joint_bag(sys.argv[1])
-except Rx90Error as error:
-    print(error)
+for bag in sys.argv[1:]:
+    try:
+        read_joint_bag(bag)
+        print("read")
+    except Rx90Error as error:
+        print(error)
 # Not by getrusage: its peak is at least that of the process that this one was forked from.
 (peak,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
 print(int(peak.split()[1]) // 1024)
 """
-LARGE = 900 << 20  # bytes of zeros
+LARGE = 300 << 20  # bytes of zeros
 MAPPING = "rate: 100\nnames: [a]\nposition: {columns: [time], unit: rad}\n"
 
 
@@ -528,7 +530,7 @@ def test_texts_beside_the_columns_of_a_parquet_file_are_not_read(tmp_path: Path)
     pq.write_table(pa.table({"time": np.arange(10.0), "texts": texts}), log, compression="zstd", store_schema=False)
     log.with_suffix(".yaml").write_text(MAPPING, encoding="utf-8")
     done = subprocess.run([sys.executable, "-c", PEAK, str(log)], capture_output=True, text=True, check=True)
-    assert int(done.stdout) <= 500
+    assert int(done.stdout.split()[-1]) <= 500
 
 
 def test_arrays_of_a_large_file_unpack_to_few_times_its_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -570,7 +572,7 @@ BOMBS = {
     "file.mcap.zstd": bomb_of_a_file,
     "chunk.bag": bomb_of_ros1,
     "lying.bag": lambda path: bomb_of_ros1(path, 1000),
-    "chunks.bag": lambda path: bomb_of_ros1(path, size=30 << 20, count=18),
+    "chunks.bag": lambda path: bomb_of_ros1(path, size=30 << 20, count=9),
     "chunks.mcap": lambda path: bomb_of_chunks(path, LARGE // 30, 30),
     "chunk.mcap": lambda path: bomb_of_chunks(path, LARGE),
     "endless.mcap": lambda path: bomb_of_chunks(path, 1 << 63),
@@ -585,15 +587,16 @@ BOMBS = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", BOMBS)
-def test_what_unpacks_to_far_more_is_refused_before(name: str, tmp_path: Path) -> None:
-    """One line states the limit; the process never has 500 MB."""
-    BOMBS[name](tmp_path / name)
-    (tmp_path / name).with_suffix(".yaml").write_text(MAPPING, encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, "-c", PEAK, str(tmp_path / name)], capture_output=True, text=True, check=True
-    )
+def test_what_unpacks_to_far_more_is_refused_before(tmp_path: Path) -> None:
+    """One line each states the limit; the process that reads them all never has 200 MB."""
+    for name, write in BOMBS.items():
+        write(tmp_path / name)
+        (tmp_path / name).with_suffix(".yaml").write_text(MAPPING, encoding="utf-8")
+    words = [sys.executable, "-c", PEAK, *(str(tmp_path / name) for name in BOMBS)]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
     assert not done.stderr
-    line, peak = done.stdout.splitlines()
-    assert re.search("bytes unpacked; accepted: up to|another length than 1,000|is damaged: ", line)
-    assert int(peak) <= 500
+    *lines, peak = done.stdout.splitlines()
+    for name, line in zip(BOMBS, lines, strict=True):
+        assert name in line
+        assert re.search("bytes unpacked; accepted: up to|another length than 1,000|is damaged: ", line)
+    assert int(peak) <= 200

@@ -106,17 +106,6 @@ def test_a_step_at_constant_velocity_is_exact(v: float, step: float, z: float) -
     assert torque == pytest.approx(exact_torque, rel=1e-12, abs=1e-12)
 
 
-def test_the_series_joins_the_exponential() -> None:
-    """Around the product of rate and step where the series takes over nothing jumps beyond rounding."""
-    for x in np.linspace(0.0195, 0.0205, 41):
-        v = 0.3
-        step = x * float(ELEMENT.sliding_torque(v)) / ELEMENT.c0 / v
-        got = bristle_step(COMPILED, 1e-4, v, step)
-        want = closed_form(ELEMENT, 1e-4, v, step)
-        assert got[0] == pytest.approx(want[0], rel=1e-14)
-        assert got[1] == pytest.approx(want[1], rel=1e-12)
-
-
 def steps_errors(
     element: FrictionElement, velocity: Callable[[float], float], turn: Sequence[float], counts: Sequence[int]
 ) -> NDArray[np.float64]:

@@ -24,7 +24,6 @@ from friction_bench.rig.rig_file import load_rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import read_yaml, yaml_text
 from rx90_common.base.share import config_path
-from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 
 SIX_DIGITS = 5e-6
@@ -173,38 +172,6 @@ def test_friction_by_load_is_bam_s(name: str) -> None:
         assert one.tau_c.negative == one.tau_c.positive
         if element != "m3":
             assert (one.omega_s, one.delta) == pytest.approx(model[-2:], rel=SIX_DIGITS)
-
-
-NONE = (0.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("name", "driving", "driven"),
-    [("erob80_50", [NONE, NONE, (-0.005, 0.001, 0.002), (-0.001, 0.0005, 0.0)],
-      [(-0.055, 0.104, 0.041), (-0.051, 0.107, 0.041), (-0.030, 0.080, 0.028), (-0.034, 0.056, 0.020)]),
-     ("erob80_100", [NONE, (-0.095, 0.012, 0.030), NONE, NONE],
-      [(-0.189, 0.180, 0.095), (-0.082, 0.224, 0.044), (-0.001, 0.002, 0.001), (-0.096, 0.061, 0.038)])],
-)  # fmt: skip
-def test_how_far_the_load_part_is_from_bam(
-    name: str, driving: Sequence[tuple[float, ...]], driven: Sequence[tuple[float, ...]]
-) -> None:
-    """At constant speed, up to 80 Nm and 3 rad/s, friction by load is off by what the page on provenance says."""
-    for element, model, *bounds in zip(BY_LOAD, BAM_LOAD[name], driving, driven, strict=True):
-        one = FrictionFile.read(config_path(f"friction/{name}.yaml")).elements[element]
-        for way, (least, most, mean) in zip((True, False), bounds, strict=True):
-            load, v, friction = bam_points(model, driving=way)
-            off = torque_by_load(one, load, v, driving=way) / friction - 1.0
-            assert [off.min(), off.max(), np.sqrt(np.mean(off**2))] == pytest.approx([least, most, mean], abs=6e-4)
-
-
-def torque_by_load(one: FrictionElement, load: Array, v: Array, *, driving: bool) -> Array:
-    """Return an element's torque at constant speeds from 0 on under loads, by the equations of its load part, Nm."""
-    assert one.load is not None
-    values = one.load.numbers()
-    end = "driving" if driving else "driven"
-    k, stribeck, square = (values[f"{name}{end}"] for name in ("", "stribeck_", "quadratic_"))
-    rise = one.tau_s.positive - one.tau_c.positive + stribeck * load + square * load**2
-    return one.tau_c.positive + k * load + rise * np.exp(-((v / one.omega_s) ** one.delta)) + one.c2 * v
 
 
 def far_from_reversals(k: float, f_v: float, f_o: float, f_c: float, alpha: float, nu: float) -> Sliding:

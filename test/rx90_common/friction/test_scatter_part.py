@@ -76,15 +76,6 @@ def test_the_start_is_drawn_from_what_the_walk_keeps() -> None:
     assert np.abs(np.corrcoef(starts.T) - np.eye(7)).max() < 4.0 / np.sqrt(300)
 
 
-def test_the_same_seed_gives_the_same_bits_also_after_a_reset() -> None:
-    """A seed has its walk; these are its bits, on every machine."""
-    part = ScatterPart(deviation=0.1, correlation_time=0.5)
-    first = factors_of(part, 7, 200)
-    assert np.array_equal(first, factors_of(part, 7, 200))
-    assert np.array_equal(first, factors_of(part, 7, 200, again=True))
-    assert not np.array_equal(first, factors_of(part, 8, 200))
-
-
 def splitmix(state: int) -> tuple[int, int]:
     """Return the next state and output of SplitMix64, as published, in whole numbers without bound."""
     mask = 2**64 - 1

@@ -74,24 +74,6 @@ def test_the_reference_temperature_has_the_paper_s_bits() -> None:
         assert np.array_equal(got, want)
 
 
-def test_constant_heat_warms_along_an_exponential() -> None:
-    """With friction that temperature does not change, T goes to ambient + R P with the time constant R C (50 sets)."""
-    rng = np.random.default_rng(3)
-    for _ in range(BATCHES):
-        same = {"viscous_floor": 1.0, "speed_slope": 0.0, "static_slope": 0.0}
-        elements = [any_element(rng, temperature=any_warmth(rng, **same), c0=1e12) for _ in range(7)]
-        parts = [e.temperature for e in elements if e.temperature]
-        power = np.array([e.steady_torque(0.2) * 0.2 for e in elements])
-        constant = np.array([part.resistance * part.capacity for part in parts])
-        for steps in (1, 500):
-            seven = Seven.of(elements, 100.0 / steps)
-            along(seven, sliding(0.2, steps), 100.0 / steps)
-            end = np.array([part.ambient for part in parts]) + np.array([part.resistance for part in parts]) * power
-            start = np.array([part.start for part in parts])
-            want = end + (start - end) * np.exp(-100.0 / constant)
-            assert seven.states["temperature"]["temperature"][0] == pytest.approx(want, rel=1e-9)
-
-
 def test_friction_that_warms_itself_against_a_solver() -> None:
     """At constant velocity friction and temperature go as the coupled equation has them (SciPy, 50 sets, 1e-6 K)."""
     rng, duration = np.random.default_rng(4), 60.0

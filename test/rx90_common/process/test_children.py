@@ -1,7 +1,8 @@
-"""Child processes and the fixture that starts them: what is started is also ended."""
+"""Child processes and the fixture that starts them: what is started is ended, gives way, leaves nothing behind."""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -15,6 +16,7 @@ from warm_start import COLD
 
 from rx90_common.base.share import config_path
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
+from rx90_common.process.files import hidden_folder, write_text
 
 pytestmark = pytest.mark.slow
 
@@ -136,3 +138,60 @@ def test_children_run_no_module_of_the_working_folder(tmp_path: Path, monkeypatc
     monkeypatch.chdir(tmp_path)
     child = ChildProcess("check", executable("rx90 config", "check", config_path("robots/rx90b/friction.yaml")))
     assert (child.wait(), "hostile" in child.output) == (0, False), child.output
+
+
+_HOLDS = """
+import sys
+from pathlib import Path
+from rx90_common.process.files import hidden_folder
+with hidden_folder(Path(sys.argv[1])) as folder:
+    (folder / "half").write_text("made")
+    print(folder, flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_what_a_killed_process_left_is_swept_and_what_a_running_one_makes_is_not(tmp_path: Path) -> None:
+    """The next start beside it takes the folder of a process that is gone, by kill -9 too, and no other."""
+    target, other = tmp_path / "table.csv", tmp_path / "other"
+    with subprocess.Popen(
+        [sys.executable, "-c", _HOLDS, str(target)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as holder:
+        try:
+            assert holder.stdout is not None
+            left = Path(holder.stdout.readline().strip())
+            mine = tmp_path / ".table.csv.rx90-notes"  # a user's, whose name is another one
+            mine.mkdir()
+            with hidden_folder(other) as beside:
+                assert (left / "half").read_text() == "made"
+                write_text(target, "new")
+                assert beside.is_dir()
+        finally:
+            holder.kill()
+    assert left.is_dir()
+    write_text(other, "next")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [mine.name, "other", "table.csv"]
+
+
+ROOT = Path(__file__).parents[3]
+PROGRAM = """
+import json, os, sys, threading
+from pathlib import Path
+from rx90_common.process.threads import be_nicer
+held = threading.Event()
+threading.Thread(target=held.wait, daemon=True).start()
+os.nice(int(sys.argv[1]))
+be_nicer(7)
+threading.Thread(target=held.wait, daemon=True).start()
+tasks = [int(task.name) for task in Path("/proc/self/task").iterdir()]
+print(json.dumps([os.getpriority(os.PRIO_PROCESS, task) for task in tasks]))
+"""
+
+
+@pytest.mark.parametrize("before", [0, 9])
+def test_all_threads_give_way(before: int) -> None:
+    """Threads that are there and threads that begin later are nice enough; one that is nicer already stays so."""
+    start = os.getpriority(os.PRIO_PROCESS, 0)
+    command = [sys.executable, "-c", PROGRAM, str(before)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout) == [max(start + before, 7), max(start, 7), max(start + before, 7)]

@@ -95,9 +95,7 @@ def test_all_problems_of_files_are_told_with_their_lines(arm: Path, capsys: Capt
 LARGE = {
     "unknown keys": "".join(f"element{k}: {k}\n" for k in range(37_000)),
     "a list": f"elements: [{'x,' * 73_000}x]",
-    "a list of an unknown key": f"a: [{'x,' * 73_000}x]",
     "lists in lists": "a:\n" + "- - - - - -\n" * 70_000,
-    "keys of an element": "elements:\n  joint_1:\n" + "".join(f"    k{k}: {k}\n" for k in range(37_000)),
     "elements": "elements:\n" + "".join(f"  e{k}: x\n" for k in range(37_000)),
     "a long key": f'? "{"x" * 3_000_000}"\n: 1',
 }
@@ -321,18 +319,19 @@ _SLOW = {f"scipy.{part}" for part in ("signal", "interpolate", "optimize", "stat
 _SLOW |= {"matplotlib", "bokeh", "pyarrow", "jinja2", "viser", "rclpy"}
 
 
-@pytest.mark.parametrize(("words", "needed"), [
-    (f"config check {config_path('robots/rx90b/task.yaml')}", set()),
-    ("config show", set()),
-    ("run", set()),
-    ("line --dry-run", set()),
-    ("path paths/circle.yaml --dry-run", {"scipy.interpolate", "scipy.optimize", "scipy.sparse"}),
-    (f"bag info {REFERENCE}", set()),
-    (f"bag path {REFERENCE}", set()),
-])  # fmt: skip
-def test_a_small_verb_waits_for_no_library_that_it_does_not_use(words: str, needed: set[str]) -> None:
+def test_small_verbs_wait_for_no_library_that_they_do_not_use() -> None:
     """What takes long to import is left out: of SciPy, Matplotlib, Bokeh, PyArrow, Jinja, the page and ROS."""
-    code = "import sys; from rx90_emulator.cli.frame import run; run('rx90', sys.argv[1:]); print(*sys.modules)"
-    command = [sys.executable, "-c", code, *words.split()]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
-    assert _SLOW & set(done.stdout.split()) == needed
+    verbs = [
+        f"bag info {REFERENCE}",
+        f"bag path {REFERENCE}",
+        f"config check {config_path('robots/rx90b/task.yaml')}",
+        "config show",
+        "line --dry-run",
+        "run",
+        "path paths/circle.yaml --dry-run",
+    ]
+    code = "import sys; from rx90_emulator.cli.frame import run\nfor words in sys.argv[1:]:\n"
+    code += "    assert run('rx90', words.split()) == 0\n    print('loaded:', *sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code, *verbs], capture_output=True, text=True, check=True, timeout=120)
+    loaded = [_SLOW & set(line.split()) for line in done.stdout.splitlines() if line.startswith("loaded: ")]
+    assert loaded == [set()] * 6 + [{"scipy.interpolate", "scipy.optimize", "scipy.sparse"}]

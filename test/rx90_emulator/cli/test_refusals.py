@@ -58,7 +58,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("rx90 run --initial-position 0", "--initial-position has 1 number; accepted: 6, one for each joint"),
         (f"{LINE} --acceleration 40 --dry-run", "would refuse the line: point 2: joint_1 has"),
         (f"{EXCITATION} --wall 0 0 0 1", "--wall 0 0 0 1; accepted: NX NY NZ D"),
-        (f"{EXCITATION} --share 0.05", "even of a small one the torque of joint_"),
         ("rx90 demo --task far.yaml", "out of reach"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Every model of a file refuses in one line what its JSON schema excludes, and gives back what it read.
+"""Every model of a file refuses in one line what its JSON schema excludes, and gives back what it read; good files fit.
 
 An independent validator of the schema says what is wrong; the model must refuse it, and name the place first.
 """
@@ -17,14 +17,20 @@ import pytest
 from config_samples import shipped, written
 from full_friction import write_with_parts
 from jsonschema import Draft202012Validator
+from schema_faults import schema_faults
 
 from rx90_common.base.config import read_yaml, yaml_text
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.models import FileModel, model_text, schema_at
 from rx90_common.base.quoting import quoted
+from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.configuration.kinds import KINDS, FileKind
+from rx90_controller.node.parameters import ControllerParameters
+from rx90_emulator.configuration.check import kind_named
+from rx90_emulator.configuration.kinds import KINDS, NODE_PARAMETERS, FileKind
+from rx90_emulator.configuration.nodes import node_faults
 from rx90_emulator.identification.experiments.plan import INDEX
+from tools import schemas
 
 WRONG = (None, "text", True, 7, -3.5, 0, -1e30, math.nan, math.inf, [], [1.0], [["text"]], {}, {"odd": 1})
 ENDLESS = {"stiffness", "omega_d", "thermal_resistance", "heat_capacity", "derating", "limit"}
@@ -187,3 +193,30 @@ def test_what_is_written_is_what_was_read(kind: FileKind, samples: list[tuple[st
             again = tmp_path / "again.yaml"
             again.write_text(model_text(values), encoding="utf-8")
             assert kind.model.model_validate(read_yaml(again)) == values
+
+
+def test_the_shipped_schemas_are_those_of_the_readers() -> None:
+    """The files in config/schemas/ are what `python -m tools.schemas` writes, and are schemas of draft 2020-12."""
+    shipped_texts = {path.name: path.read_text(encoding="utf-8") for path in config_path("schemas").iterdir()}
+    assert shipped_texts == schemas.texts()
+    for kind in KINDS:
+        Draft202012Validator.check_schema(kind.json_schema())
+
+
+def test_good_files_fit_their_schemas(samples: list[tuple[str, Path]]) -> None:
+    """Shipped files and those of every other kind are read, and fit their schemas; the nodes' have none."""
+    assert {kind for kind, _ in samples} == {*(kind.name for kind in KINDS), NODE_PARAMETERS}
+    for kind, path in samples:
+        kind_named(kind).read(path)
+        assert kind == NODE_PARAMETERS or schema_faults(kind, path) == [], path
+
+
+def test_what_joint_trajectory_controller_alone_has_is_taken_out() -> None:
+    """Its parameters without a counterpart are no parameters of the node, nor unknown."""
+    joints = [f"joint_{k}" for k in (6, 1, 2, 3, 4, 5)]
+    given = {"joints": joints, "gains.joint_1.p": 1.0, "cmd_timeout": 0.0}
+    assert node_faults("rx90_controller", given) == []
+    assert ControllerParameters.of(given) == ControllerParameters.of({})
+    for name in ("gain", "interpolation_methods", "joint"):
+        (line,) = node_faults("rx90_controller", {name: 1.0})
+        assert line.startswith(f"{name} is not a known key")

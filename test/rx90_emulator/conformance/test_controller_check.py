@@ -1,4 +1,4 @@
-"""The command rx90 check, with the CS7B's node and with a controller that is not this project's."""
+"""The command rx90 check, with the CS7B's node and with another controller, and what it measures."""
 
 from __future__ import annotations
 
@@ -7,12 +7,19 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from processes import Processes, command, wait_until
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import DONE, FAILED, INTERRUPTED, VERDICT_NO
 from rx90_emulator.cli.frame import run
 from rx90_emulator.conformance import battery, bench, case, metrics
+from rx90_emulator.conformance.battery import CASES, Nominal, run_cs7b
+from rx90_emulator.conformance.case import Case, Record
+from rx90_emulator.conformance.check import CaseResult, Finding
+from rx90_emulator.loop.parameters import with_parameters
+from rx90_emulator.loop.setup import Setup
 
 CS7B = command("rx90_controller")
 OWN = [sys.executable, str(Path(__file__).resolve().parents[2] / "support" / "user_servo.py")]
@@ -111,3 +118,90 @@ def test_an_interrupted_check_leaves_no_controller(processes: Processes, tmp_pat
     check.signal(2)  # type: ignore[arg-type]
     assert check.wait() == INTERRUPTED
     assert not Path(f"/proc/{pid.read_text(encoding='utf-8')}").exists()
+
+
+@pytest.fixture
+def nominal(shipped: Setup, tmp_path: Path) -> Nominal:
+    """Return what cases are made of."""
+    return Nominal(shipped, tmp_path)
+
+
+def record_of(case: Case, position: Array) -> Record:
+    """Return the record of a run in which the arm took these positions, without torque."""
+    record, drives = Record(case), case.setup.drives
+    for tick, motors in enumerate(position @ drives.turning.turns.T * drives.gear):
+        record.note(tick, motors, np.zeros(len(motors)))
+    return record
+
+
+def beyond(findings: list[Finding]) -> set[str]:
+    """Return the quantities that exceed their limits."""
+    return {row.quantity for row in findings if row.value > row.limit}
+
+
+def exact(case: Case) -> Array:
+    """Return the positions of an arm that is at each set-point, one for each tick."""
+    return np.repeat(case.set_points[:, 0], case.setup.rates.ratio, axis=0)[: case.ticks]
+
+
+def test_overshoot_settling_and_what_is_left(nominal: Nominal) -> None:
+    """A decaying oscillation at a step's end has overshoot, settling time and remaining error by its equation."""
+    case = CASES["step"](nominal, "step")
+    way = case.points.position[-1] - case.points.position[0]
+    times = np.arange(case.ticks) * case.setup.rates.period
+    since = np.maximum(times - case.end, 0.0)
+    ringing = np.where(times > case.end, 0.2 * np.exp(-since / 0.05) * np.sin(2 * np.pi * 25.0 * since), 0.0)
+    run = record_of(case, exact(case) + np.outer(ringing + 1e-3 * (since > 0.0), way))
+    values = {(row.quantity, row.joint): row.value for row in CaseResult(run, run).findings}
+    fine = np.arange(0.0, 0.5, 1e-5)
+    wave = 0.2 * np.exp(-fine / 0.05) * np.sin(2 * np.pi * 25.0 * fine) + 1e-3
+    last = fine[np.flatnonzero(np.abs(wave) > 0.02)[-1]]
+    for j, name in enumerate(case.setup.robot.joint_names):
+        assert values["overshoot", name] == pytest.approx(wave.max(), rel=0.01)
+        assert values["settling_time", name] == pytest.approx(last, abs=1e-3)
+        assert values["rest_error", name] == pytest.approx(1e-3 * abs(way[j]), rel=0.01)
+
+
+def test_hunting_and_ripple_have_their_size(nominal: Nominal) -> None:
+    """A triangular motion at rest has its size, and a fast sine of the torque its RMS."""
+    case = CASES["rest"](nominal, "rest")
+    times = np.arange(case.ticks) * case.setup.rates.period
+    position = exact(case) + 2e-3 * np.abs((times / 0.4) % 1.0 - 0.5)[:, None]
+    run, drives = Record(case), case.setup.drives
+    torque = 3.0 * np.sin(2 * np.pi * 200.0 * times)[:, None] * np.ones(6)
+    motors = torque @ np.linalg.inv(drives.turning.turns) / drives.gear
+    for tick, row in enumerate(position @ drives.turning.turns.T * drives.gear):
+        run.note(tick, row, motors[tick])
+    values = {(row.quantity, row.joint): row.value for row in CaseResult(run, run).findings}
+    for name in case.setup.robot.joint_names:
+        assert values["hunting", name] == pytest.approx(1e-3, rel=0.01)
+        assert values["torque_ripple", name] == pytest.approx(3.0 / np.sqrt(2.0), rel=0.02)
+
+
+def test_the_cs7b_passes_and_bad_gains_fail(nominal: Nominal) -> None:
+    """The shipped gains keep all limits in all cases; gains four times as stiff ripple, weak ones hunt."""
+    weak = {"controller.kp[*]": 20.0, "controller.kv[*]": 60.0, "controller.ki[*]": 3e4}
+    for name, make in CASES.items():
+        case = make(nominal, name)
+        good = run_cs7b(case, nominal.setup)
+        assert beyond(CaseResult(good, good).findings) == set(), name
+        if name == "rest":
+            slack, stiff = (run_cs7b(case, with_parameters(nominal.setup, law))
+                            for law in (weak, {"controller.kv[*]": 1600.0}))  # fmt: skip
+            assert beyond(CaseResult(slack, good).findings) >= {"hunting", "rest_error", "tracking_error_rms"}
+            assert "torque_ripple" in beyond(CaseResult(stiff, good).findings)
+
+
+def test_other_arms_are_the_nominal_one_but_for_what_is_named(nominal: Nominal) -> None:
+    """Payload and friction are those of the files times their factors; drives give less than the CS7B needs."""
+    payload = CASES["payload_1.3"](nominal, "payload_1.3").setup
+    friction = CASES["friction_0.7"](nominal, "friction_0.7").setup
+    heavier = payload.robot.chain.mass[5] - nominal.setup.robot.chain.mass[5]
+    assert heavier == pytest.approx(0.3 * 3.5)
+    assert payload.friction.elements == nominal.setup.friction.elements
+    for one, usual in zip(friction.friction.elements, nominal.setup.friction.elements, strict=True):
+        assert (one.tau_c.positive, one.c2) == pytest.approx((0.7 * usual.tau_c.positive, 0.7 * usual.c2))
+        assert (one.c0, one.omega_s) == (usual.c0, usual.omega_s)
+    case = CASES["saturation"](nominal, "saturation")
+    needed = np.abs(run_cs7b(CASES["step"](nominal, "step"), nominal.setup).sent).max(axis=0)
+    assert case.setup.drives.peak_torque == pytest.approx(0.8 * needed)

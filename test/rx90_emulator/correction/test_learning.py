@@ -1,4 +1,4 @@
-"""Corrections are learned as the theory says, are safe, and are refused where they do not belong."""
+"""Corrections are learned as the theory says, are safe, and are refused elsewhere; the linearised arm."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import rx90_emulator as rx
 from benchmarks.any_arm import write_arm
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, Rx90Warning
+from rx90_common.rigid_torque import rigid_torque
 from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
@@ -29,6 +30,7 @@ from rx90_emulator.correction.learning import (
     learn,
     run_corrected,
 )
+from rx90_emulator.correction.linearise import linearise
 from rx90_emulator.correction.methods import best_change, gains, response
 from rx90_emulator.correction.path import TrajectoryPath
 from rx90_emulator.correction.precompensation import corrected_trajectory, travelled_error
@@ -421,3 +423,31 @@ def test_offsets_beyond_the_limits_are_refused() -> None:
         Correction(offsets, 1e-3)
     with pytest.raises(rx.Rx90Error, match=r"change 2 rad/s in joint 3 at 0\.004 s; accepted: up to 0\.5 rad/s"):
         Correction(0.1 * offsets, 1e-3)
+
+
+def inverse_dynamics(setup: Setup, q: Array, v: Array, a: Array) -> Array:
+    """Return the torque on the joints at one state, shape (6,)."""
+    drives = setup.drives
+    return rigid_torque(setup.robot.model, drives.rotor_matrix, drives.spring_torque, q[None], v[None], a[None])[0]
+
+
+def slopes(setup: Setup, state: Array, which: int, step: float = 1e-5) -> Array:
+    """Return the derivative of the torque by position, velocity or acceleration, by central differences."""
+    columns = []
+    for joint in range(6):
+        move = np.zeros((3, 6))
+        move[which, joint] = step
+        difference = inverse_dynamics(setup, *(state + move)) - inverse_dynamics(setup, *(state - move))
+        columns.append(difference / (2.0 * step))
+    return np.stack(columns, axis=1)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_derivatives_equal_differences_of_the_inverse_dynamics(shipped: Setup, seed: int) -> None:
+    """M0, C0 and K0 are the slopes of the torque, rotors, wrist coupling, gravity and spring included."""
+    rng = np.random.default_rng(seed)
+    state = np.stack([rng.uniform(-2.0, 2.0, 6), rng.uniform(-3.0, 3.0, 6), rng.uniform(-20.0, 20.0, 6)])
+    linear = linearise(shipped.robot, shipped.drives, *state[:, None])
+    for ours, which in ((linear.stiffness, 0), (linear.damping, 1), (linear.mass, 2)):
+        expected = slopes(shipped, state, which)
+        np.testing.assert_allclose(ours[0], expected, rtol=0, atol=1e-6 * np.abs(expected).max())

@@ -1,7 +1,8 @@
-"""The nodes, in one process or two, and the closed loop without ROS are the same numbers, whatever the machine does."""
+"""Nodes, in one process or two, and the closed loop without ROS are the same numbers, whatever machine and arm do."""
 
 from __future__ import annotations
 
+import re
 import signal
 import struct
 import subprocess
@@ -9,24 +10,38 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from full_friction import write_with_parts
 from line_run import TOPICS, run_both_ways
 from needs import need
 from own_model import by_model
 from processes import Processes
-from ros_client import Client, seconds
+from ros_client import JOINTS, Client, seconds
 from rosbags.highlevel import AnyReader
 
 import rx90_emulator as rx
-from rx90_common.bags.comparison import Verdict
+from benchmarks.any_arm import joint_names, write_arm
+from rx90_common.bags.comparison import Verdict, compare_bags
+from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.tables import comparison_text
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.share import config_path
+from rx90_common.process.children import ChildProcess
 from rx90_controller.law.parameters import MODEL_PARTS
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
+from rx90_controller.node.trajectory_client import TrajectoryClient
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.cli.frame import run
 from rx90_emulator.composed_cell import own_parameters
+from rx90_emulator.loop.closed_loop import simulate_commands
+from rx90_emulator.loop.result import MotionCommand, write_bag
 from rx90_emulator.loop.setup import Setup
+
+pytestmark = pytest.mark.ros
 
 SHARE = 0.01
 LEAST_LOST = 20
@@ -43,7 +58,6 @@ def lossy_udp(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return library
 
 
-@pytest.mark.ros
 def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine_that_loses_datagrams(
     lossy_udp: Path, processes: Processes, client: Client, tx40: Setup, tmp_path: Path
 ) -> None:
@@ -76,7 +90,6 @@ def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine_that_loses_dat
     assert [point.positions.tolist() for point in taken.points] == plan.position.tolist()
 
 
-@pytest.mark.ros
 def test_one_process_gives_the_closed_loops_bits(
     processes: Processes, client: Client, shipped: Setup, tmp_path: Path
 ) -> None:
@@ -88,7 +101,6 @@ def test_one_process_gives_the_closed_loops_bits(
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
 
 
-@pytest.mark.ros
 def test_services_and_the_end_in_free_running_time_are_those_of_two_processes(processes: Processes) -> None:
     """In a namespace: a motion, no torque, time that begins anew, Ctrl-C; time under one's hand: action/."""
     with closing(Client("/cell_1")) as client:
@@ -117,3 +129,189 @@ def test_a_parameter_of_another_node_is_refused() -> None:
     assert own == {"rx90_sim": ["--ros-args", "-p", "a:=1"], "rx90_controller": ["--ros-args", "-p", "d:=x:=y"]}
     with pytest.raises(ConfigError, match="'rx90_simulation:a:=1': no such node here; accepted: rx90_sim, rx90_cont"):
         own_parameters(["-p", "rx90_simulation:a:=1"])
+
+
+DRIVES = """
+elasticity:
+  stiffness: [1.5e+6, 1.5e+6, 5.0e+5, 1.0e+5, 6.0e+4, 3.0e+4]
+  damping: [300.0, 300.0, 100.0, 20.0, 12.0, 6.0]
+  backlash: [1.0e-4, 1.0e-4, 1.0e-4, 2.0e-4, 2.0e-4, 2.0e-4]
+cogging:
+  harmonic: [6, 36]
+  amplitude: [[0.03, 0.03, 0.02, 0.01, 0.01, 0.01], [0.01, 0.01, 0.01, 0.005, 0.005, 0.005]]
+winding:
+  resistance: [2.0, 2.0, 2.0, 2.0, 2.0, 2.0]
+  thermal_resistance: [20.0, 20.0, 20.0, 20.0, 20.0, 20.0]
+  heat_capacity: [3.0, 3.0, 3.0, 3.0, 3.0, 3.0]
+  ambient: 25.0
+  initial: 100.0
+  derating: 100.0
+  limit: 140.0
+current_sensor:
+  offset: [0.01, -0.01, 0.005, 0.0, 0.005, 0.0]
+  noise: [0.01, 0.01, 0.01, 0.005, 0.005, 0.005]
+  resolution: [0.01, 0.01, 0.005, 0.005, 0.005, 0.005]
+  bandwidth: 800.0
+"""
+SEED = 11
+STEP, STEPS = 400, 11  # ticks of one call of ~/step, calls
+DURATION = STEP * STEPS / 4000  # s
+START = 0.15  # s
+POSE = np.array([0.0, 0.5, 0.8, 0.0, 0.5, 0.0])
+THERE = TrajectoryPoints(np.array([0.5]), POSE[None] + 0.1 * np.array([[1, -1, 1, 1, -1, 1]]), np.zeros((1, 6)), None)
+ALL = 9
+"""Topics of joint states."""
+
+
+def written(folder: Path) -> Setup:
+    """Write files of the arm and return its setup."""
+    content = yaml.safe_load(config_path("robots/rx90b/drives.yaml").read_text(encoding="utf-8"))
+    blocks = {name: {"provenance": "assumed", "source": "for the tests", **block}
+              for name, block in yaml.safe_load(DRIVES).items()}  # fmt: skip
+    content["motor"]["peak_current"][1] = 3.4  # so little that a warm winding makes itself felt
+    (folder / "drives.yaml").write_text(yaml.safe_dump({**content, **blocks}), encoding="utf-8")
+    files = {
+        "drives": folder / "drives.yaml",
+        "friction": write_with_parts(config_path("robots/rx90b/friction.yaml"), folder / "friction.yaml"),
+    }
+    return rx.load_setup(**files, seed=SEED)
+
+
+def run_nodes(processes: Processes, client: Client, setup: Setup, folder: Path) -> tuple[str, DiagnosticStatus]:
+    """Record the bags `first` and `second`, before and after a reset, and `engine` without ROS.
+
+    Returns:
+        What the simulation has said, and its diagnostics that warn of a motor as time goes on.
+    """
+    simulated = simulate_commands(setup, [MotionCommand(150, THERE)], POSE, DURATION, record_fast=True)
+    write_bag(simulated, folder / "engine")
+    of_simulation = {
+        "paused": "true", "real_time_factor": 0.0, "step_ticks": STEP, "friction": folder / "friction.yaml",
+        "seed": SEED, "initial_position": POSE.tolist(),
+    }  # fmt: skip
+    words = [word for name, value in of_simulation.items() for word in ("-p", f"rx90_sim:{name}:={value}")]
+    cell = processes.start("rx90_cell", "--ros-args", "-p", f"drives:={folder / 'drives.yaml'}", *words)
+    _record(processes, client, cell, folder / "first")
+    client.simulation.reset()
+    _record(processes, client, cell, folder / "second")
+    heard = client.listen("/diagnostics", DiagnosticArray)
+    assert client.set_parameters("rx90_sim", real_time_factor=0.05) == [""]
+    client.simulation.pause(False)
+
+    def warning() -> list[DiagnosticStatus]:
+        status = [message.status[0] for message in heard]
+        return [one for one in status if one.name == "rx90_sim" and one.level == DiagnosticStatus.WARN]
+
+    client.spin_until(lambda: any("motor" in one.message for one in warning()), "the warning")
+    status = next(one for one in warning() if "motor" in one.message)
+    return cell.output, status
+
+
+def _record(processes: Processes, client: Client, cell: ChildProcess, bag: Path) -> None:
+    """Record a run that begins at time 0, of a trajectory that is sent in its midst."""
+    recorder = processes.start("rx90 bag", "record", "--output", bag)
+    recorder.wait_for("ready: all")
+    reference = client.listen("rx90_controller/reference", depth=1)
+    client.known_to("rx90_controller")
+    client.simulation.step()
+    sender = TrajectoryClient(client.asking, "rx90_controller")
+    sender.wait_for_controller()
+    sender.send(JOINTS, THERE, START)
+    cell.wait_for("trajectory accepted")  # it has come, but ticks and messages have a thread each
+    for _ in range(STEPS - 1):
+        client.simulation.step()
+    # The controller publishes after its command, with which the step is done.
+    client.spin_until(lambda: bool(reference) and seconds(reference[-1]) > DURATION - 1.5e-3, "the last set-point")
+    recorder.signal(signal.SIGINT)
+    assert recorder.wait() == 0
+
+
+def the_same(one: Path, other: Path) -> None:
+    """Assert that all numbers in two bags have the same bits."""
+    comparison = compare_bags(one, other)
+    assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
+    assert len(comparison.topics) == ALL
+
+
+def test_all_parts_of_an_arm_in_nodes(
+    processes: Processes, client: Client, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With elastic gears, cogging, sensors, windings and all parts of friction nodes and engine agree bit by bit."""
+    setup = written(tmp_path)
+    output, status = run_nodes(processes, client, setup, tmp_path)
+    first, again = tmp_path / "first", tmp_path / "again"
+    the_same(first, tmp_path / "engine")
+    the_same(first, tmp_path / "second")
+    files = [word for name in ("drives", "friction") for word in (f"--{name}", str(tmp_path / f"{name}.yaml"))]
+    capsys.readouterr()
+    assert run("rx90 replay", [str(first), *files, "--output", str(again)]) == 0
+    assert f"seed {SEED}, as the bag tells\n" in capsys.readouterr().out
+    the_same(first, again)
+
+    found, commanded = (
+        read_joint_states(first, f"rx90_controller/{name}_current").effort for name in ("motor", "commanded")
+    )
+    torque = read_joint_states(first, "motor_states").effort
+    assert found is not None
+    assert commanded is not None
+    assert torque is not None
+    assert np.array_equal(found, torque[::40] / setup.drives.torque_constant)
+    resolution = np.array(setup.drives.current_sensor.resolution)
+    assert found / resolution == pytest.approx(np.round(found / resolution), abs=1e-9)
+    assert np.all(np.ptp(found - commanded, axis=0) > 2.0 * resolution)
+
+    text = r"motor_2 at (1\d\d\.\d) °C has (\d\d) % of its peak current"
+    said = re.search(text, status.message)
+    assert said is not None
+    assert float(said[2]) == pytest.approx(100.0 * (140.0 - float(said[1])) / 40.0 - 0.5, abs=0.7)  # rounded down
+    values = {pair.key: pair.value for pair in status.values}
+    assert values["windings, °C"].split()[1] == said[1]
+    assert [int(count) > 0 for count in values["saturated ticks"].split()] == [False, True] + [False] * 4
+    # Once as the first run makes it warm, and once as time goes on after the reset, at the most.
+    assert 1 <= len(re.findall(rf"\[WARN\].*{text}", output)) <= 2
+
+
+SHORT = 0.3  # s
+
+
+def by_stamp(heard: list[Any]) -> dict[float, Any]:
+    """Return messages by their stamps, s."""
+    return {seconds(message): message for message in heard}
+
+
+def test_nodes_of_seven_joints_give_the_engines_bits(processes: Processes, client: Client, tmp_path: Path) -> None:
+    """In lock-step all states of a short motion, as heard and as recorded, are those of the loop without ROS."""
+    folder = write_arm(tmp_path / "arm", 7)
+    # The engine first, which leaves its compiled code to the nodes.
+    setup, goal = rx.load_setup(robot=folder), np.full((1, 7), 0.05)
+    points = TrajectoryPoints(np.array([0.25]), goal, np.zeros((1, 7)), None)
+    motion = simulate_commands(setup, (MotionCommand(0, points),), np.zeros(7), SHORT, record_fast=True)
+    write_bag(motion, tmp_path / "engine")
+    slow, given = motion.slow, ["-p", f"robot:={folder}"]
+    for name, value in (("paused", "true"), ("duration", SHORT), ("real_time_factor", 0.0)):
+        given += ["-p", f"rx90_sim:{name}:={value}"]
+    simulation, controller = (processes.start(name, "--ros-args", *given) for name in ("rx90_sim", "rx90_controller"))
+    states, friction = client.listen("joint_states"), client.listen("friction_states")
+    simulation.wait_for("]: ready: ")
+    recorder = processes.start("rx90 bag", "record", "--output", tmp_path / "nodes")
+    recorder.wait_for("ready: all")
+    client.send([(0.25, goal[0].tolist())], joint_names(7))
+    client.known_to("rx90_sim")
+    client.simulation.pause(False)
+    count = round(SHORT * 1000)
+    # While time stands still, the newest sample comes again.
+    client.spin_until(lambda: len(by_stamp(states)) == len(by_stamp(friction)) == count, "all states")
+    assert simulation.wait() == 0
+    for process in (controller, recorder):
+        process.signal(signal.SIGINT)
+        assert process.wait() == 0, process.output
+    the_same(tmp_path / "nodes", tmp_path / "engine")
+    for heard, names, rows in (
+        (states, setup.robot.joint_names, slow.joint_states),
+        (friction, setup.friction.names, slow.friction_states),
+    ):
+        assert tuple(heard[0].name) == names
+        samples = by_stamp(heard).values()
+        got = np.array([[message.position, message.velocity, message.effort] for message in samples])
+        assert got.tobytes() == rows.tobytes()
+    assert np.abs(slow.joint_states[-1, 0] - 0.05).max() < 1e-3

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import signal
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 from browser import BrowserPage
 from pinocchio_chain import tip_place
-from processes import Processes
+from processes import Processes, wait_until
 from short_task import SHORT_TASK
 
 from rx90_common.description.kinematics import forward, tip_position
@@ -268,3 +269,27 @@ def test_a_long_run_keeps_its_largest(shipped: Setup, page: Page) -> None:
     assert run.worst == pytest.approx(1.1e-4)
     assert len(run.times) < 10_000
     assert run.along[[0, -1]] == pytest.approx([0.0, 0.4], abs=1e-3)
+
+
+def _children(pid: int) -> list[int]:
+    found: list[int] = []
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        with suppress(FileNotFoundError, ProcessLookupError):  # a thread that has just ended
+            found += map(int, (task / "children").read_text().split())
+    return found
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("said", ["starting simulation", "page: "])
+def test_ctrl_c_while_the_nodes_come_up(processes: Processes, said: str) -> None:
+    """Ctrl-C before the arm is seen ends page and nodes with 130, one line, and no process left behind."""
+    view = processes.start("rx90 view", "--demo", "--port", 0, "--no-browser")
+    view.wait_for(said)
+    wait_until(lambda: bool(_children(view.pid)), "the nodes' process")
+    children = _children(view.pid)
+    view.signal(signal.SIGINT)
+    assert view.wait() == 130
+    assert "Traceback" not in view.output
+    assert view.lines[-1] == "rx90 view: interrupted"
+    for child in children:
+        wait_until(lambda child=child: not Path(f"/proc/{child}").exists(), "the end of the nodes")  # type: ignore[misc]

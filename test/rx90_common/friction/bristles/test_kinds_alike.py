@@ -73,19 +73,6 @@ def test_no_kind_creates_energy(bristles: BristlesPart | None) -> None:
         assert np.sum(dissipated) > 0.0
 
 
-def test_maxwell_slip_without_its_bound_creates_energy() -> None:
-    """As published, a block that slips while a joint comes to rest is loaded faster than the joint moves."""
-    dissipated = {}
-    for bounded in (True, False):
-        oracle = MaxwellSlipOracle(ELEMENT, np.array([1.0]), np.array([1.0]), 2000.0, bounded)
-        forces, _ = oracle.hold(np.zeros(1), 1.0, 0.1)
-        after, torque = oracle.hold(forces, 1e-3, 1e-2)
-        stored = 0.5 * (after @ after - forces @ forces) / ELEMENT.c0
-        dissipated[bounded] = torque * 1e-3 * 1e-2 - stored
-    assert dissipated[True] > 0.0
-    assert dissipated[False] < -1e-4
-
-
 def order_on_a_mass(element: FrictionElement, bristles: ElastoPlastic | MaxwellSlip) -> tuple[float, Array]:
     """Return the order of the plant's step on a mass that reverses, sticks and slips, and the errors, rad, rad/s."""
 
@@ -176,30 +163,3 @@ def test_maxwell_slip_is_the_prandtl_operator_in_presliding() -> None:
     for stiffness, share in zip(BLOCKS.stiffness, BLOCKS.share, strict=True):
         expected += stiffness * 1e5 * (path - play(share * 25.0 / (stiffness * 1e5), path))
     np.testing.assert_allclose(torque[1::2], expected, atol=1e-10)
-
-
-def loop(bristles: BristlesPart | None, turning: list[float]) -> Array:
-    """Return the torque at rest in each turning point of a slow motion, Nm."""
-    found = []
-    for count in range(1, len(turning)):
-        ways = np.diff(turning[: count + 1])
-        velocity = np.concatenate([np.full(400, way / 400 / STEP) for way in ways])
-        found.append(led(FLAT.replaced(c1=0.0, bristles=bristles), np.append(velocity, 0.0), STEP)[0][-1])
-    return np.array(found)
-
-
-def test_only_maxwell_slip_remembers_where_it_left() -> None:
-    """An inner loop leads back to the point where it left the outer one, and on along it: non-local memory.
-
-    The outer branch is Masing's: from a turning point twice the virgin curve at half the way.
-    """
-    turning = [0.0, 4e-4, 0.0, 2e-4, 0.0, -4e-4, 4e-4]
-    torque = loop(BLOCKS, turning)
-    assert torque[3] == pytest.approx(torque[1], abs=1e-10)
-    assert torque[4] == pytest.approx(loop(BLOCKS, [0.0, 4e-4, -4e-4])[-1], abs=1e-10)
-    assert torque[5] == pytest.approx(torque[0], abs=1e-10)
-    for way in (1e-4, 3e-4, 6e-4):
-        virgin = loop(BLOCKS, [0.0, 0.5 * way])[-1]
-        assert loop(BLOCKS, [0.0, 4e-4, 4e-4 - way])[-1] == pytest.approx(torque[0] - 2.0 * virgin, abs=1e-10)
-    local = loop(None, turning)
-    assert abs(local[3] - local[1]) > 0.5

@@ -1,6 +1,6 @@
 """Ends before the last point: tolerances, a cancel, another goal, a trajectory on the topic, a reset.
 
-What the arm does then is tested without ROS (test_goals.py, test_servo_loop.py), and at random in test_many_goals.py.
+What the arm does then is tested without ROS (test_goals.py, test_servo_loop.py), and at random in test_refused.py.
 """
 
 from __future__ import annotations

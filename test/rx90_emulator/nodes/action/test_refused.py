@@ -1,11 +1,23 @@
-"""What is no goal, what the arm cannot do, and when the controller takes none: rejected or aborted, with the reason."""
+"""What is no goal, and when the controller takes none: rejected or aborted, with the reason; bursts and streams."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
 import pytest
-from action_bench import ABORTED, STEP, SUCCEEDED, Bench
+from action_bench import ABORTED, CANCELED, STEP, SUCCEEDED, Bench
 from diagnostic_msgs.msg import DiagnosticArray
+from numpy.typing import NDArray
+from processes import TIMEOUT
+from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
 from ros_client import JOINTS
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+from rx90_common.exchange.endpoints import ros_time
 
 pytestmark = pytest.mark.ros
 
@@ -89,3 +101,95 @@ def test_brakes_end_a_goal_and_refuse_the_next(bench: Bench) -> None:
         bench.client.enable(on)
     # It waits for the tick with which the torque comes back.
     assert bench.time.until(bench.goals.result_of(bench.goals.send(move(0.02, 0.3)))).status == SUCCEEDED
+
+
+DELAY = 0.03  # s
+
+
+def wave(time: float) -> list[float]:
+    """Return positions at a time, from rest, rad."""
+    return [0.02 * (1.0 - float(np.cos(4.0 * np.pi * max(time, 0.0))))] * 6
+
+
+def set_points(bench: Bench, messages: Sequence[Any], topic: str, seconds: float) -> NDArray[np.float64]:
+    """Send messages while time stands still, then let it run; return the set-points that came of them."""
+    begin, node = bench.now, bench.client.node
+    publisher = node.create_publisher(type(messages[0]), f"rx90_controller/{topic}", len(messages))
+    bench.client.spin_until(lambda: publisher.get_subscription_count() > 0, "the controller")
+    for message in messages:
+        publisher.publish(message)
+    assert publisher.wait_for_all_acked(Duration(seconds=TIMEOUT))
+    for _ in messages:  # in the round in which it answers a request, its executor takes one waiting set-point
+        bench.client.known_to("rx90_controller")
+    bench.time.run(seconds)
+    followed = bench.set_points_from(begin, round(seconds * 1e3) - 1)
+    node.destroy_publisher(publisher)
+    return followed
+
+
+def test_stamped_set_points_are_passed_through_after_the_delay_bit_by_bit(bench: Bench) -> None:
+    """In lock-step each is met `stream.delay` after its stamp, and the same ones give the same bits again."""
+    found = []
+    for _ in range(2):
+        bench.begin_anew()
+        begin, messages = bench.now, []
+        for k in range(1, 40):
+            messages.append(JointState(name=JOINTS, position=wave(k * STEP)))
+            messages[-1].header.stamp = ros_time(round((begin + k * STEP) * 1e9))
+        found.append(set_points(bench, messages, "joint_setpoints", 0.6))
+    due = np.array([round((k * STEP + DELAY) * 1e3) for k in range(3, 39)])
+    assert np.abs(found[0][due - 1] - np.array([wave(k * STEP) for k in range(3, 39)])).max() < 1e-5
+    assert (found[0] == found[1]).all()
+    assert "came" not in bench.cell.output.rpartition("stream begins")[2]
+
+
+BURST = 200
+REQUESTS = 100
+SOON = 40.0  # s; resets that waited for each other's first tick would take 50
+DEEP = QoSProfile(depth=2 * BURST)  # the client's own queues, of answers that come while it sends
+
+
+def answers(bench: Bench, asked: list[Any], what: str) -> list[Any]:
+    """Return the answers of all."""
+    bench.client.spin_until(lambda: all(one.done() for one in asked), f"{len(asked)} {what}", SOON)
+    return [one.result() for one in asked]
+
+
+def test_goals_results_and_cancels_of_a_burst_are_all_answered(bench: Bench) -> None:
+    """200 goals at once; then as many requests for results, and for cancels: the last goal's is the only one to do."""
+    from action_client import move
+    from control_msgs.action import FollowJointTrajectory
+    from rclpy.action import ActionClient
+
+    deep = {f"{of}_service_qos_profile": DEEP for of in ("goal", "result", "cancel")}
+    action = ActionClient(
+        bench.client.node, FollowJointTrajectory, "rx90_controller/follow_joint_trajectory", **deep
+    )  # fmt: skip
+    bench.client.spin_until(action.server_is_ready, "the action's server")
+    bench.home()
+    handles = answers(bench, [action.send_goal_async(move(0.05, 0.5)) for _ in range(BURST)], "goals")
+    assert all(handle.accepted for handle in handles)
+    results = [handle.get_result_async() for handle in handles]
+    told = answers(bench, [handle.cancel_goal_async() for handle in handles], "cancels")
+    assert [len(one.goals_canceling) for one in told] == [0] * (BURST - 1) + [1]
+    assert [one.status for one in answers(bench, results, "results")] == [ABORTED] * (BURST - 1) + [CANCELED]
+    bench.time.run(0.4)
+    action.destroy()
+
+
+def test_requests_of_a_burst_are_all_answered(bench: Bench) -> None:
+    """100 at once to the simulation and to the controller, while time stands still, and while it runs."""
+    node = bench.client.node
+    for paused in (True, False):
+        bench.time.pause(paused)
+        for kind, service, request in (
+            (Trigger, "rx90_sim/reset", Trigger.Request()),
+            (SetBool, "rx90_controller/enable", SetBool.Request(data=True)),
+        ):
+            client = node.create_client(kind, service, qos_profile=DEEP)
+            bench.client.spin_until(client.service_is_ready, service)
+            told = answers(bench, [client.call_async(request) for _ in range(REQUESTS)], service)
+            assert all(one.success for one in told)
+            node.destroy_client(client)
+        bench.time.pause(True)
+        bench.begin_anew()
