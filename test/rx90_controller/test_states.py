@@ -31,7 +31,7 @@ from rx90_controller.trajectory.stream import INTERFACES, SetPoints
 from rx90_emulator.loop.setup import Setup
 from tools.controller_states import EVENTS, PAGE, SITUATIONS, answers, page
 
-SEQUENCES, LENGTH = 2500, 6
+SEQUENCES, LENGTH = 6000, 6
 TOLERANCES = GoalTolerances.of_parameters(NAMES)
 
 REFUSED = dict.fromkeys(("goal", "trajectory", "stop", "set-point"), "= refused")

@@ -335,7 +335,7 @@ def test_the_command_writes_what_it_is_asked_for(tmp_path: Path, capsys: pytest.
 
 
 def test_mutated_programs_end_in_time_without_a_traceback(shipped: Setup) -> None:
-    """Eight hundred programs with lines and characters mixed up: each ends, or is refused by V+'s or our text."""
+    """Two thousand programs with lines and characters mixed up: each ends, or is refused by V+'s or our text."""
     rng = np.random.default_rng(7)
     sources = [file.read_text(encoding="latin-1") for file in sorted(CASES.glob("*.v2"))]
     pool = [line for source in sources for line in source.splitlines()]
@@ -344,7 +344,7 @@ def test_mutated_programs_end_in_time_without_a_traceback(shipped: Setup) -> Non
     signs = list("()[],;:=+-*/$#\"'^.0123456789ABCxyz \x00\x0c\x1a\xff")
     options = Options(idle=0.2, longest=0.3)
     ends = {"ran": 0, "stopped": 0, "refused": 0}
-    for number in range(800):
+    for number in range(2000):
         lines = sources[number % len(sources)].splitlines()
         for _ in range(rng.integers(1, 5)):
             place = int(rng.integers(len(lines)))
