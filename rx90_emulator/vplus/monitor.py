@@ -22,7 +22,7 @@ import numpy as np
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import plain
 from rx90_emulator.vplus.cell import Cell
-from rx90_emulator.vplus.instructions import CONTROL
+from rx90_emulator.vplus.instructions import CONTROL, typed_numbers
 from rx90_emulator.vplus.program import global_cell, load_programs, parse, parse_line, read
 from rx90_emulator.vplus.task import OF_EXECUTE, Frame, Task, Waits
 from rx90_emulator.vplus.transformations import six_numbers, trans
@@ -51,6 +51,8 @@ _MOST_BYTES: Final = 4096
 _LATEST: Final = 0.3
 """Time that is made up for, s; a machine that is slower than that is slower than the wall clock."""
 _INTERRUPT: Final = 3
+_ENDS: Final = "\r\n", "\n\r"
+"""Of a line, as pairs; half a pair is one, too."""
 _BITS: Final = 10
 """Of a byte on a line with 8 data bits, no parity and a stop bit."""
 
@@ -68,7 +70,6 @@ class Monitor:
         program: the program that runs; None if none does.
         call: its name and arguments, until it is through.
         cycles: that are left of it; negative for no end.
-        returns: whether the terminal ends lines with a carriage return; line feeds beside it say nothing then.
     """
 
     def __init__(self, cell: Cell, folder: Path, send: Callable[[str], None]) -> None:
@@ -77,13 +78,13 @@ class Monitor:
         self.program: Waits | None = None
         self.call: tuple[Any, ...] = ()
         self.cycles = 0
-        self.returns = False
         self._send = send
         self._dialogue = self._commands()
         self._asks = False
         self._reads = False
         self._answer: str | None = None
         self._typed = ""
+        self._before = ""
         self._lines: list[str] = []
         cell.show = lambda text, _, ends: send(f"{text}\r\n" if ends else text)
         cell.ask = self._ask
@@ -97,21 +98,27 @@ class Monitor:
     def receive(self, data: bytes) -> None:
         """Take bytes from the terminal: make lines of them, and do what they say."""
         for character in data.decode("latin-1"):
+            if self._before + character in _ENDS:
+                self._before = ""
+                continue
+            self._before = character
             if ord(character) == _INTERRUPT:
+                self._take_lines()
                 self.abort()
-            elif character == "\r" or (character == "\n" and not self.returns):
+                self._lines = []
+                self._typed = ""
+            elif character in "\r\n":
                 self._lines.append(self._typed)
                 self._typed = ""
             elif character in "\b\x7f":
                 self._typed = self._typed[:-1]
-            elif character != "\n" and len(self._typed) < _LONGEST_LINE:
+            elif len(self._typed) < _LONGEST_LINE:
                 self._typed += character
-            self.returns |= character == "\r"
         self._take_lines()
 
     def _take_lines(self) -> None:
         """Take lines for whoever asks; a program with a unit has all of them, between its READs, too."""
-        has_unit = self.program is not None and self.task.attached
+        has_unit = self.program is not None and self.task.units
         while self._lines and (self._reads or (self._asks and not has_unit)):
             line = self._lines.pop(0)
             self._send(f"{line}\r\n")
@@ -161,6 +168,7 @@ class Monitor:
         self.task.queue.stop()
         self.program = None
         self._reads = False
+        self._answer = None
 
     def _end(self, message: str) -> None:
         self.program = None
@@ -261,7 +269,7 @@ def _point(monitor: Monitor, text: str) -> Dialogue:
         answer = yield Ask("Change? ")
         if not answer.strip():
             return
-        typed = [*answer.split(","), *[""] * 6]
+        typed = [*typed_numbers(answer), *[""] * 6]
         try:
             numbers = [
                 float(new) if new.strip() else old
@@ -324,7 +332,7 @@ def _execute(monitor: Monitor, text: str) -> None:
     monitor.cycles = int(match[2] or 1)
     task.frames = []
     task.halted = False
-    task.attached = False
+    task.units = set()
     task.always.update(OF_EXECUTE)
     task.call(*call)
     monitor.call = call
@@ -512,7 +520,6 @@ def _exchange(
     """Exchange bytes with a terminal, and let the time of the cell pass with the wall clock, until it has gone."""
     period = monitor.task.cell.period
     output[:] = b"."
-    monitor.returns = False
     due = time.monotonic()
     passed = 0.0  # bytes each way, so far
     while True:

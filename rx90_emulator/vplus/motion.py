@@ -246,7 +246,7 @@ class Motion:
         begin: time on the path, s; infinite until it is known.
         began: simulated time, s.
         ended: simulated time, s.
-        settled: simulated time at which the arm stood where it should, s; NaN where the next one did not wait for it.
+        settled: simulated time at which the arm stood where it should, s; NaN where it went on, or all ended, before.
         error: largest distance of the tool from the path of its set-points, mm; NaN where it is not known.
         nulled: distance of the tool from its end when the set-points were there, mm; likewise.
     """

@@ -217,7 +217,7 @@ _WIDTHS = "<20", "<8", *[">8"] * 7, "<1"
 
 
 def table(run: ProgramRun) -> list[list[str]]:
-    """Return the table of motions; null s is how long the arm took behind the set-points, null mm how far it went."""
+    """Return the table of motions; null: how long it took behind the last set-point, how far it was off then."""
     rows = [_COLUMNS.split(",")]
     for motion in run.motions:
         taken = motion.ended - motion.began

@@ -129,7 +129,7 @@ class Task:
         error: number of the newest error.
         lot: the source of RANDOM.
         halted: whether HALT has ended the program for good.
-        attached: whether the program has a unit of its own: what is typed goes to it.
+        units: that the program has; what is typed goes to it while it has one.
         frames: the programs within each other.
         step: the newest step.
     """
@@ -155,7 +155,7 @@ class Task:
         self.error = 0
         self.lot = random.Random(0)
         self.halted = False
-        self.attached = False
+        self.units: set[float] = set()
         self.frames: list[Frame] = []
         self.step = Step()
         self._steps = 0

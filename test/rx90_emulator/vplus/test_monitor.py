@@ -66,7 +66,7 @@ NUMBER = r"\s+-?\d+\.\d{3}"
         (["HERE o", "1,,3", "", "listl o"], r".*\r\n.*\r\no +1.000 +-?0.000 +3.000 .*\r\n\."),
         (["do x = 4", 'do $s = "a"', "listr"], r"listr\r\nx = 4.0\r\n\."),
         (["do x = 4", "point x"], r"point x\r\n\*Illegal value\* a real; accepted: a location\r\n\."),
-        (["HERE o[1]", "1,,3", "", "listl o"], r".*\r\n.*\r\no\[1\] +1.000 +-?0.000 +3.000 .*\r\n\."),
+        (["HERE o[1]", " 1 2  3", "", "listl o"], r".*\r\n.*\r\no\[1\] +1.000 +2.000 +3.000 .*\r\n\."),
         (["point o[x]"], r"point o\[x\]\r\n\*'x\]' is not expected\*\r\n\."),
         (["edit 1"], r"edit 1\r\n\*'1' is not expected\*\r\n\."),
         (["do x = 4", 'do $s = "a"', "lists"], r'lists\r\n\$s = "a"\r\n\.'),
@@ -88,10 +88,11 @@ def test_each_line_is_answered_as_on_the_cabinet(talk: Talk, lines: list[str], s
     assert re.fullmatch(shown, answer), answer
 
 
-@pytest.mark.parametrize("end", ["\r", "\n", "\r\n", "\n\r"])
-def test_a_line_ends_once_however_a_client_ends_it(talk: Talk, end: str) -> None:
-    """Public software sends each of these; an empty line more would end the question of POINT."""
-    for line in ("speed 30", "point a", "1,2,3", "", "listl a"):
+@pytest.mark.parametrize(("before", "end"), [("", "\r"), ("", "\n"), ("", "\r\n"), ("", "\n\r"), ("\r", "\n")])
+def test_a_line_ends_once_however_a_client_ends_it(talk: Talk, before: str, end: str) -> None:
+    """Public software sends each of these, whatever came before; an empty line more would end the question of POINT."""
+    talk(before, end="")
+    for line in ("point a", "1,2,3", "", "listl a"):
         answer = talk(line, end=end)
     assert re.search(r"\na +1.000 +2.000 +3.000 ", answer)
 
@@ -101,6 +102,7 @@ def test_a_program_is_edited_run_stored_and_loaded(talk: Talk) -> None:
     assert talk("EDIT p(x)").endswith("    1 ? ")
     assert talk("TYPE x").endswith("    2 ? ")
     talk("DRIVE 1, 10, 50")
+    talk("ATTACH (1)")  # the pendant
     talk("E")
     assert talk("exec p(7), 2") == "exec p(7), 2\r\n."  # two cycles
     assert talk("exec p").endswith("*Program task already active*\r\n.")
@@ -138,14 +140,22 @@ def test_a_program_asks_and_goes_on_where_it_stopped(talk: Talk) -> None:
     assert "end\r\n\r\nProgram completed" in talk("proceed", 3)
 
 
-def test_a_program_with_a_unit_has_what_is_typed(talk: Talk) -> None:
-    """Between its READs, too; blanks separate numbers as commas do. Behind DETACH the monitor answers again."""
+def test_a_program_with_units_has_what_is_typed(talk: Talk) -> None:
+    """Between its READs, too, until all are given up; blanks separate numbers where no comma does. Ctrl-C drops it."""
     loop = ("FOR i = 1 TO 2", "READ (lun) a, b, c", "WRITE (lun) a, b, c", "WAIT.EVENT , 0.1", "END")
-    for line in ("EDIT p", 'ATTACH (lun, 4) "SERIAL:1"', *loop, "DETACH (lun)", "WAIT FALSE", "E", "exec p"):
+    units = ('ATTACH (lun, 4) "SERIAL:1"', "ATTACH (5)", *loop, "DETACH (lun)", *loop, "DETACH (5)", "WAIT FALSE")
+    for line in ("EDIT p", *units, "E", "exec p"):
         talk(line, 1)
     assert " 1 -2.5 3\r\n" in talk(" 1 -2.5  3", 3)
-    assert talk("4 , 5", 1) == ""
-    assert re.search(r" 4 5 0\r\nstatus\r\nTask 0  running", talk("status", 30))
+    for line in ("4 , 5", "- 5, 3, 20 mm", "6"):
+        assert talk(line, 1) == ""
+    assert re.search(r"(?s) 4 5 0\r.* 0 3 20\r.* 6 0 0\r\nstatus\r\nTask 0  running", talk("status", 60))
+    talk("kill")
+    talk("exec p", 1)
+    for line in ("1", "3,4", "nonsense"):
+        talk(line)
+    assert talk("\x03") == "\r\n."
+    assert talk("exec p", 3) == "exec p\r\n."
 
 
 def test_a_reaction_that_was_aborted_comes_again(talk: Talk) -> None:

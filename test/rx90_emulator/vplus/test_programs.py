@@ -322,7 +322,9 @@ def test_the_command_writes_what_it_is_asked_for(tmp_path: Path, capsys: pytest.
     assert "head of 3: MOV code  77" in said
     assert "c08.strings:19" in said
     assert (tmp_path / "p.png").stat().st_size > 1000
-    assert "c08.strings" in (tmp_path / "p.html").read_text(encoding="utf-8")
+    assert re.search(
+        '<th class="words">line</th>.*<td class="words">c08.strings', (tmp_path / "p.html").read_text("utf-8"), re.S
+    )
     assert run("rx90 replay", [str(tmp_path / "bag")]) == 0  # the bag's trajectory runs again
     (tmp_path / "a.v2").write_text(".PROGRAM a(x, $y)\nTYPE x, $y\nx = y\n.END\n.PROGRAM b()\nFOO\nBAR\n.END\n")
     assert run("rx90 program engine", [str(tmp_path / "a.v2")]) == 2
