@@ -74,7 +74,7 @@ def main() -> int:
         print(f"{count} of {options.runs}: {outcome}")
     return int(
         any(
-            "lacks" in outcome and outcome.endswith("ended with 0, the recorder with 0")
+            "lacks" in outcome and outcome.endswith("rx90 line: sent; the recorder ended with 0")
             for outcome in found
         )
     )
