@@ -4,7 +4,7 @@
 
 In each run simulation, controller and recorder start anew, `rx90 line` sends a line once the recorder is ready, and the
 recorder is interrupted as soon as the controller has accepted it, while so many other processes use the processors.
-A bag without the trajectory is a fault only where `rx90 line` and recorder have ended with 0.
+A bag without the trajectory is a fault only where `rx90 line` has sent it and the recorder has ended with 0.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 from rosbags.highlevel import AnyReader
 
 from benchmarks.report import arguments, prepare_ros
-from rx90_common.process.children import ProcessGroup, executable
+from rx90_common.process.children import ProcessError, ProcessGroup, executable
 
 ACCEPTED = "/rx90_controller/trajectory_accepted"
 LINE = ("--start", 0.6, -0.2, 0.2, "--end", 0.6, -0.1, 0.2, "--approach")
@@ -34,17 +34,20 @@ def run(folder: Path) -> str:
         )
         recorder.wait_for("ready: all")
         line = group.start("line", executable("rx90 line", *LINE))
-        sent = line.wait()
-        if sent == 0:
+        said = "sent"
+        try:
+            line.wait_for("sent ")
             cell.wait_for("trajectory accepted")
+        except ProcessError as error:
+            said = str(error)
         recorder.signal(signal.SIGINT)
         recorded = recorder.wait()
     with AnyReader([folder / "bag"]) as bag:
         counts = {connection.topic: connection.msgcount for connection in bag.connections}
-    if counts.get(ACCEPTED) and sent == recorded == 0:
+    if counts.get(ACCEPTED) and said == "sent" and recorded == 0:
         return "complete"
     lacks = "complete" if counts.get(ACCEPTED) else f"lacks {ACCEPTED}"
-    return f"{lacks}; rx90 line ended with {sent}, the recorder with {recorded}"
+    return f"{lacks}; rx90 line: {said}; the recorder ended with {recorded}"
 
 
 def main() -> int:
@@ -71,7 +74,7 @@ def main() -> int:
         print(f"{count} of {options.runs}: {outcome}")
     return int(
         any(
-            "lacks" in outcome and outcome.endswith("ended with 0, the recorder with 0")
+            "lacks" in outcome and outcome.endswith("rx90 line: sent; the recorder ended with 0")
             for outcome in found
         )
     )

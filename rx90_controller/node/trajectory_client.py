@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -36,6 +37,7 @@ from rx90_common.exchange.topics import (
     TRAJECTORY_ACCEPTED,
 )
 from rx90_controller.lines.plan import Approach, LinePlan, approached
+from rx90_controller.node.sent_trajectory import SentTrajectory
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.points import (
@@ -46,10 +48,6 @@ from rx90_controller.trajectory.points import (
 
 _SETTLED = 1.2  # s without a change among those that listen; each participant announces itself every second, config/dds
 _NEXT_SAMPLE = 1.5  # s; at the slowest real_time_factor the samples of a simulation that runs come every second
-_PATIENCE = 5.0  # s of the wall clock, that an arm may rest away from its place after a trajectory was due to end
-_RESTS = 1e-3  # rad: an arm whose joints all stay within it rests
-_ENDS = ("trajectory rejected", "trajectory aborted", "trajectory dropped", "stopped at")
-"""How a controller's line begins that says that a trajectory does not come to its end."""
 
 Show = Callable[[float, float], object]
 """Called with the part of a trajectory's duration that has passed, and its duration, s."""
@@ -105,19 +103,19 @@ class TrajectoryClient:
             JointTrajectory, private + COMMANDED_CORRECTION, 1
         )
         self._arm: NewestPositions | None = None
-        self._began: float | None = None  # as the controller says, s
-        self._fault = ""
+        self._sent: SentTrajectory | None = None
         client.node.create_subscription(
-            JointTrajectory, private + TRAJECTORY_ACCEPTED, self._take_start, 1
+            JointTrajectory, private + TRAJECTORY_ACCEPTED, self._take_acceptance, 1
         )
         subscribe_log(client, [controller], self._take_line)
 
-    def _take_start(self, accepted: JointTrajectory) -> None:
-        self._began = message_time_ns(accepted.header.stamp) / NANOSECONDS
+    def _take_acceptance(self, accepted: JointTrajectory) -> None:
+        if self._sent is not None:
+            self._sent.take_acceptance(accepted)
 
     def _take_line(self, _node: str, line: str, _wrong: bool) -> None:
-        if line.startswith(_ENDS):
-            self._fault = line
+        if self._sent is not None:
+            self._sent.take_line(line)
 
     def wait_for_controller(self, starting: float = 0.0) -> None:
         """Wait until the controller will receive messages.
@@ -214,6 +212,7 @@ class TrajectoryClient:
         points: TrajectoryPoints,
         start_time: float = 0.0,
         correction: Correction | None = None,
+        tolerance: float = 0.0,
     ) -> None:
         """Publish a trajectory to all that listen and wait until it has arrived.
 
@@ -222,14 +221,14 @@ class TrajectoryClient:
             points: the trajectory.
             start_time: when it starts, s; 0 means now.
             correction: of the trajectory; None for none.
+            tolerance: how far from its last point the samples of `wait_for_end` may be when it has ended, rad.
 
         Raises:
             ExchangeError: if that is not confirmed within the client's timeout.
         """
         self._settle()
-        self._began = None
-        self._fault = ""
         message = trajectory_message(names, points, start_time)
+        self._sent = SentTrajectory(message, points, tolerance)
         if correction is not None:
             message.header.frame_id = CORRECTED
             there = self._corrections.get_subscription_count
@@ -243,66 +242,37 @@ class TrajectoryClient:
         self._publisher.publish(message)
         self._confirm(self._publisher, "trajectory")
 
-    def wait_for_end(
-        self,
-        points: TrajectoryPoints,
-        samples: NewestPositions,
-        tolerance: float,
-        show: Show,
-    ) -> float:
-        """Wait until the arm is at the end of the trajectory that was sent to start now; return when it ended, s.
+    def wait_for_end(self, samples: NewestPositions, show: Show) -> float:
+        """Wait until the trajectory that was sent last, to start now, has ended, and return when, s.
 
-        That is when it was due, unless the arm came later. It begins when the controller says, else now. An arm that
-        moves is waited for, however slow it was made.
+        That is when it was due, unless the arm came later, because it was slowed down.
 
         Args:
-            points: the trajectory.
             samples: of the arm or of its set-points.
-            tolerance: how far from its last point they may be when it has ended, rad.
             show: called again and again.
 
         Raises:
             ExchangeError: if the controller refuses it or does not run it to its end, or time stands still.
         """
-        duration = float(points.times[-1])
-        begin = samples.time
-        newest = begin
+        sent = self._sent
+        assert sent is not None
+        newest = samples.time
         came = time.monotonic()
-        moved = came
-        place = samples.position
-        late = False
-        while True:
-            if self._fault:
-                raise ExchangeError(f"{self._controller}: {self._fault}")
-            if self._began is not None:
-                begin = self._began
+        while sent.end == math.inf:
+            self._client.spin()
             clock = time.monotonic()
             if samples.time > newest:
                 newest = samples.time
                 came = clock
             elif clock > came + self._client.timeout:
-                raise ExchangeError(
-                    f"the arm's time stood still at {newest:.3f} s for {self._client.timeout:g} s"
-                )
-            passed = newest - begin
-            show(min(max(0.0, passed), duration), duration)
-            gap = float(np.abs(samples.position - points.position[-1]).max())
-            if passed > duration + POLL:
-                if gap <= tolerance:
-                    return newest if late else begin + duration
-                late = True
-            # an arm that is slowed down comes later
-            if passed <= duration or np.abs(samples.position - place).max() > _RESTS:
-                moved = clock
-                place = samples.position
-            if clock > moved + _PATIENCE:
-                raise ExchangeError(
-                    f"the arm rests {gap:.4f} rad from the trajectory's end, which was due: it was stopped "
-                    "or replaced, and the controller's terminal says which"
-                )
-            self._client.spin()
+                sent.fault = f"time stood still at {newest:.3f} s for {self._client.timeout:g} s"
+            sent.see(samples.time, samples.position, clock)
+            if sent.fault:
+                raise ExchangeError(f"{self._controller}: {sent.fault}")
+            show(min(max(0.0, newest - sent.begin), sent.duration), sent.duration)
             # the newest message suffices; in between the processor is left to the nodes
             time.sleep(POLL / 2.0)
+        return sent.end
 
     def _confirm(self, publisher: Publisher, what: str) -> None:
         deadline = time.monotonic() + self._client.timeout
@@ -391,7 +361,7 @@ def deliver(
             f"approach: {np.degrees(line.way):.1f} deg in {line.farthest}, {line.approach:.3f} s"
         )
     later = None if correction is None else correction.later(line.approach)
-    trajectory.send(plan.joint_names, line.points, start_time, later)
+    trajectory.send(plan.joint_names, line.points, start_time, later, limits.start_tolerance)
     start = f"at {start_time:g} s" if start_time else "now"
     client.say(
         f"sent {counted(len(line.points.times), 'point')} to {trajectory.topic}: start {start}, {line.duration:.3f} s"
@@ -403,4 +373,4 @@ def deliver(
         )
     if arm is None or start_time > 0.0 or standing is not None:
         return None
-    return partial(trajectory.wait_for_end, line.points, arm, limits.start_tolerance)
+    return partial(trajectory.wait_for_end, arm)

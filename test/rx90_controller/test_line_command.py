@@ -126,7 +126,7 @@ def test_a_controller_that_comes_later_gets_the_whole_trajectory(shipped: Setup,
     [
         ("arrives", 0, "arrived: the motion ended at "),
         ("comes late", 0, "arrived: the motion ended at "),
-        ("stays", 3, "rad from the trajectory's end, which was due"),
+        ("stays", 3, "rad from the trajectory's end (accepted: 0.001)"),
         ("interrupted", 130, "interrupted; the controller goes on with the motion"),
     ],
 )

@@ -119,10 +119,10 @@ def follow_trajectory(
     show: Show,
 ) -> float:
     """Send a trajectory, wait until the controller's set-points are at its end, and return when it ended, s."""
-    trajectory.send(names, points, correction=correction)
+    trajectory.send(names, points, correction=correction, tolerance=_AT_REST)
     for _ in range(3):  # messages that arrived while the recorder started
         client.spin()
-    return trajectory.wait_for_end(points, set_points, _AT_REST, show)
+    return trajectory.wait_for_end(set_points, show)
 
 
 def _last_time(bag: Path) -> float:

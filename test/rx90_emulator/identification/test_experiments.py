@@ -16,7 +16,7 @@ import yaml
 from processes import Processes, open_files, wait_until
 
 from rx90_common.bags.reading import BagReader, read_joint_states
-from rx90_common.base.errors import DONE, INTERRUPTED, ConfigError, ExchangeError, IdentificationError
+from rx90_common.base.errors import DONE, INTERRUPTED, ConfigError, IdentificationError
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import load_friction
@@ -143,36 +143,6 @@ def test_the_engine_writes_the_bags_that_the_recorder_would(series: Path) -> Non
             assert {there.name for there in reader.topics} == {f"/{topic}" for topic in (*topics, "robot_description")}
     for bag in (*bags.presliding, *bags.validation):
         assert np.median(np.diff(read_joint_states(bag, "motor_states").stamp_ns)) == 250_000
-
-
-@pytest.mark.ros
-@pytest.mark.parametrize("delay", [0.1, 7.0])
-def test_a_run_is_followed_from_its_beginning_to_its_end(shipped: Setup, delay: float) -> None:
-    """However long a trajectory is on its way, it ends when its last sweep does, not at a rest at the same place."""
-    from rx90_emulator.identification.experiments.nodes import FollowedTrajectory
-
-    motion = Motion(np.zeros(6))
-    for speed in (0.1, 0.2):
-        motion.sweep(np.eye(6)[3], speed, 0.7, 6.0)
-        motion.rest(2.5)
-    points = motion.points(shipped.robot.joint_names)
-    run = FollowedTrajectory(points, np.zeros(6), 60.0)
-    clock, now = 0.0, 40.0
-    while not run.done:
-        into = now - 40.0 - delay
-        run.see(now, np.array([np.interp(into, points.times, joint) for joint in points.position.T]), clock)
-        clock, now = clock + 0.1, now + (2.0 if into < 0.0 else 0.05)
-    assert 0.0 < now - 40.0 - delay - points.times[-1] < 2.5
-    assert 0.0 <= run.end - 40.0 - delay - points.times[-1] < 2.5  # until then the bag must reach
-    waiting = FollowedTrajectory(points, np.zeros(6), 60.0)
-    for clock, now in ((0.0, 0.0), (1.0, 90.0)):
-        waiting.see(now, np.zeros(6), clock)
-    with pytest.raises(ExchangeError, match="did not run the trajectory to its end"):
-        waiting.see(91.0, np.zeros(6), 5.5)
-    stuck = FollowedTrajectory(points, np.zeros(6), 60.0)
-    stuck.see(0.0, np.zeros(6), 0.0)
-    with pytest.raises(ExchangeError, match=r"time stood still at 0\.000 s for 60 s"):
-        stuck.see(0.0, np.zeros(6), 61.0)
 
 
 def test_the_runs_of_one_joint_tell_that_joint_alone(
