@@ -142,6 +142,8 @@ def _from_rest(action: Callable[..., Waits]) -> Callable[..., Waits]:
     """Return what a motion does when a stop that is under way has ended, and the place where it begins is known."""
 
     def act(task: Task, *arguments: Any) -> Waits:
+        if not task.switches & {"POWER", "DRY.RUN"}:
+            raise VplusError("Robot power off")
         yield from task.until(lambda: not task.queue.stopping, "the end of a stop")
         yield from action(task, *arguments)
 

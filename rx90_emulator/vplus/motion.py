@@ -400,10 +400,12 @@ class MotionQueue:
         self.waiting = None
         self.stopping = not self.at_end
 
-    def drop(self) -> None:
-        """Forget all motions: the power is off."""
+    def drop(self, q: Array) -> None:
+        """Forget all motions: the power is off, and the arm stands at joint angles, rad, shape (6,)."""
         self.waiting = None
         self._running = []
+        self.stopping = False
+        self.position = self.destination = q
 
     def advance(self, period: float, time: float) -> tuple[Array, Array]:
         """Go on by a period, s, that begins at a simulated time, s; return position and velocity at its end.
