@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from functools import partial
-from itertools import count, zip_longest
+from itertools import zip_longest
 from typing import Any, Final
 
 import numpy as np
@@ -21,8 +23,7 @@ _NULL_TIME: Final = 2.0  # s, until errors must be small
 _STRAIGHT: Final = ("MOVES", "MOVEST", "APPROS", "DEPARTS", "ALIGN")
 _HAND: Final = {"O": (3001, -3002), "C": (-3001, 3002), "R": (-3001, -3002)}
 """Signals of the hand: open, closed, relaxed."""
-_NO_UNITS: Final = {None, 0.0, 1.0}
-"""Units that take nothing that is typed: the robot, and its pendant."""
+_BETWEEN: Final = re.compile(r"\s*,\s*|\s+")
 _CONFIGURATIONS: Final = ("RIGHTY", "LEFTY"), ("ABOVE", "BELOW"), ("NOFLIP", "FLIP")
 _REFUSED: Final = {
     "VPICTURE VLOCATE VFEATURE VSHOW VTRAIN VDISPLAY": "vision is not emulated",
@@ -135,6 +136,18 @@ def _set_base(task: Task, *place: float | None) -> Waits:
 
 
 # Motions.
+
+
+def _from_rest(action: Callable[..., Waits]) -> Callable[..., Waits]:
+    """Return what a motion does when a stop that is under way has ended, and the place where it begins is known."""
+
+    def act(task: Task, *arguments: Any) -> Waits:
+        if not task.switches & {"POWER", "DRY.RUN"}:
+            raise VplusError("Robot power off")
+        yield from task.until(lambda: not task.queue.stopping, "the end of a stop")
+        yield from action(task, *arguments)
+
+    return act
 
 
 def _break(task: Task) -> Waits:
@@ -356,7 +369,7 @@ def _show(task: Task, *items: Value) -> None:
 
 
 def _ask(task: Task, question: str, *targets: Cell) -> Waits:
-    """Ask for a line, and store its numbers or its text."""
+    """Ask for a line, and store its numbers, which commas or blanks separate, or its text."""
     try:
         answer = task.cell.ask(question)
     except EOFError:
@@ -366,26 +379,17 @@ def _ask(task: Task, question: str, *targets: Cell) -> Waits:
     while answer is None:
         yield "a line of input"
         answer = task.cell.ask("")
-    parts = [*typed_numbers(answer), *[""] * len(targets)]
+    parts = [*_BETWEEN.split(answer.strip()), *[""] * len(targets)]
     for target, part in zip(targets, parts, strict=False):
         target.store(answer if target.name[0] == "$" else bounded(number_of(part)))
 
 
-def typed_numbers(line: str) -> list[str]:
-    """Return the parts of a line, which commas separate, or blanks where there is no comma."""
-    return line.split("," if "," in line else None)
-
-
 def _attach(task: Task, unit: Tree = None, *_: object) -> None:
-    """Give the program a unit of input and output, a free one where a variable stands for it."""
+    """Give a free unit of input and output where a variable stands for it, or take it back."""
     if isinstance(unit, Reference):
-        free = next(number for number in count(10) if number not in task.units)
-        task.cell_of(unit).store(float(free))
-    task.units |= {task.taken("real?", unit)} - _NO_UNITS
-
-
-def _detach(task: Task, unit: float | None = None, *_: object) -> None:
-    task.units -= {unit}
+        task.attached = task.step.word == "ATTACH()"
+        if task.attached:
+            task.cell_of(unit).store(10.0)
 
 
 _CONTROL: Final[dict[str, Any]] = {
@@ -401,14 +405,7 @@ _CONTROL: Final[dict[str, Any]] = {
     "PAUSE": _pause,
     "DO": _nothing,
 }
-_ACTIONS: Final[dict[str, Any]] = {
-    "=  any variable": _assign,
-    "SET=  location variable": _set,
-    "HERE  variable": _here,
-    "JHERE  variable variable*": _joints_here,
-    "DECOMPOSE=  location tree": _decompose,
-    "TOOL  place?": _set_tool,
-    "BASE  real? real? real? real?": _set_base,
+_MOTIONS: Final[dict[str, Any]] = {
     "MOVE MOVES  location": _move,
     "MOVET MOVEST  location real": _move,
     "APPRO APPROS  location real": _approach,
@@ -418,6 +415,16 @@ _ACTIONS: Final[dict[str, Any]] = {
     "JMOVE  real? real? real? real? real? real?": _move_joints,
     "READY": lambda task: _issue(task, task.arm.ready),
     "DELAY  seconds": _delay,
+}
+_ACTIONS: Final[dict[str, Any]] = {
+    **{words: _from_rest(action) for words, action in _MOTIONS.items()},
+    "=  any variable": _assign,
+    "SET=  location variable": _set,
+    "HERE  variable": _here,
+    "JHERE  variable variable*": _joints_here,
+    "DECOMPOSE=  location tree": _decompose,
+    "TOOL  place?": _set_tool,
+    "BASE  real? real? real? real?": _set_base,
     "BREAK": _break,
     "BRAKE": lambda task: task.queue.stop(),
     "LEFTY RIGHTY ABOVE BELOW FLIP NOFLIP": _configure,
@@ -448,8 +455,7 @@ _ACTIONS: Final[dict[str, Any]] = {
     "PROMPT  text variable*": _ask,
     "READ()  any variable*": lambda task, _, *targets: _ask(task, "", *targets),
     "WRITE()  any any*": lambda task, _, *items: _show(task, *items),
-    "ATTACH()  tree any?": _attach,
-    "DETACH()  real? any?": _detach,
+    "ATTACH() DETACH()  tree any?": _attach,
     "AUTO LOCAL GLOBAL  tree*": _nothing,
     "SELECT=  tree*": _nothing,
     "ATTACH DETACH MULTIPLE SINGLE OVERLAP NOOVERLAP": _nothing,
