@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from functools import partial
-from itertools import zip_longest
+from itertools import count, zip_longest
 from typing import Any, Final
 
 import numpy as np
@@ -23,7 +22,8 @@ _NULL_TIME: Final = 2.0  # s, until errors must be small
 _STRAIGHT: Final = ("MOVES", "MOVEST", "APPROS", "DEPARTS", "ALIGN")
 _HAND: Final = {"O": (3001, -3002), "C": (-3001, 3002), "R": (-3001, -3002)}
 """Signals of the hand: open, closed, relaxed."""
-_BETWEEN: Final = re.compile(r"\s*,\s*|\s+")
+_NO_UNITS: Final = {None, 0.0, 1.0}
+"""Units that take nothing that is typed: the robot, and its pendant."""
 _CONFIGURATIONS: Final = ("RIGHTY", "LEFTY"), ("ABOVE", "BELOW"), ("NOFLIP", "FLIP")
 _REFUSED: Final = {
     "VPICTURE VLOCATE VFEATURE VSHOW VTRAIN VDISPLAY": "vision is not emulated",
@@ -369,7 +369,7 @@ def _show(task: Task, *items: Value) -> None:
 
 
 def _ask(task: Task, question: str, *targets: Cell) -> Waits:
-    """Ask for a line, and store its numbers, which commas or blanks separate, or its text."""
+    """Ask for a line, and store its numbers or its text."""
     try:
         answer = task.cell.ask(question)
     except EOFError:
@@ -379,17 +379,26 @@ def _ask(task: Task, question: str, *targets: Cell) -> Waits:
     while answer is None:
         yield "a line of input"
         answer = task.cell.ask("")
-    parts = [*_BETWEEN.split(answer.strip()), *[""] * len(targets)]
+    parts = [*typed_numbers(answer), *[""] * len(targets)]
     for target, part in zip(targets, parts, strict=False):
         target.store(answer if target.name[0] == "$" else bounded(number_of(part)))
 
 
+def typed_numbers(line: str) -> list[str]:
+    """Return the parts of a line, which commas separate, or blanks where there is no comma."""
+    return line.split("," if "," in line else None)
+
+
 def _attach(task: Task, unit: Tree = None, *_: object) -> None:
-    """Give a free unit of input and output where a variable stands for it, or take it back."""
+    """Give the program a unit of input and output, a free one where a variable stands for it."""
     if isinstance(unit, Reference):
-        task.attached = task.step.word == "ATTACH()"
-        if task.attached:
-            task.cell_of(unit).store(10.0)
+        free = next(number for number in count(10) if number not in task.units)
+        task.cell_of(unit).store(float(free))
+    task.units |= {task.taken("real?", unit)} - _NO_UNITS
+
+
+def _detach(task: Task, unit: float | None = None, *_: object) -> None:
+    task.units -= {unit}
 
 
 _CONTROL: Final[dict[str, Any]] = {
@@ -455,7 +464,8 @@ _ACTIONS: Final[dict[str, Any]] = {
     "PROMPT  text variable*": _ask,
     "READ()  any variable*": lambda task, _, *targets: _ask(task, "", *targets),
     "WRITE()  any any*": lambda task, _, *items: _show(task, *items),
-    "ATTACH() DETACH()  tree any?": _attach,
+    "ATTACH()  tree any?": _attach,
+    "DETACH()  real? any?": _detach,
     "AUTO LOCAL GLOBAL  tree*": _nothing,
     "SELECT=  tree*": _nothing,
     "ATTACH DETACH MULTIPLE SINGLE OVERLAP NOOVERLAP": _nothing,
