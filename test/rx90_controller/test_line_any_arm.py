@@ -94,6 +94,26 @@ def test_seven_joints_keep_place_and_orientation_between_the_knots(seven: RobotM
         assert np.linalg.norm(pin.log3(turned.T @ rotation)) < 1e-6
 
 
+@pytest.mark.parametrize("arm", ["seven joints", "closed form", "closed form, the tool turns"])
+def test_knots_carry_the_derivatives_of_exact_positions(plan: LinePlan, shipped: Setup, arm: str) -> None:
+    """Away from the corners of the profile, velocities and accelerations are differences of exact positions."""
+    if arm != "seven joints":
+        line = load_task(config_path("robots/rx90b/task.yaml"))
+        turning = replace(line, start=(0.5, -0.2, 0.4), end=(0.55, 0.15, 0.3), speed=0.25, acceleration=3.0,
+                          start_rpy=(0.0, 2.7, 0.1), end_rpy=(0.6, 2.2, -0.4))  # fmt: skip
+        plan = plan_line(shipped.robot, turning if "turns" in arm else line)
+    task, h = plan.task, 1e-4
+    profile = task.profile()
+    inner = np.abs(plan.times[:, None] - task.rest_before - np.array(profile.corners)).min(axis=1) > 2.5 * h
+    t = plan.times[inner]
+    exact = [plan.path.at(profile.sample(t + k * h - task.rest_before).distance)[0] for k in (-2, -1, 0, 1, 2)]
+    velocity = (exact[0] - 8 * exact[1] + 8 * exact[3] - exact[4]) / (12 * h)
+    acceleration = (-exact[0] + 16 * exact[1] - 30 * exact[2] + 16 * exact[3] - exact[4]) / (12 * h * h)
+    assert inner.sum() > 20
+    np.testing.assert_allclose(plan.velocity[inner], velocity, atol=1e-9)
+    np.testing.assert_allclose(plan.acceleration[inner], acceleration, atol=1e-5)
+
+
 def test_seven_joints_move_with_the_least_speed(seven: RobotModel, plan: LinePlan) -> None:
     """The path is that of the pseudo-inverse of Pinocchio's Jacobian, integrated by SciPy, to 1e-9 rad.
 
