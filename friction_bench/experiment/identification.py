@@ -22,7 +22,7 @@ from friction_bench.rig.plant import shaft_of
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import VERDICT_NO, IdentificationError
-from rx90_common.estimation.choose import Trial
+from rx90_common.estimation.choose import Gain
 
 LEVEL = 0.95
 POORLY_KNOWN = 0.25
@@ -115,7 +115,7 @@ class RampIdentification:
     source: RampFriction
     exact: RampFriction | None
     spread: Array
-    effect: Trial
+    effect: Gain
     unused: tuple[str, ...]
 
     @property

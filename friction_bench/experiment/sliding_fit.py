@@ -19,10 +19,9 @@ from scipy.optimize import minimize_scalar
 from friction_bench.experiment.ramp_rows import Alone, Errors, Sliding, slide
 from friction_bench.experiment.record import SlidingWindow
 from rx90_common.base.arrays import Array, Index
-from rx90_common.estimation.choose import Trial, held_out_gain, held_out_squares
+from rx90_common.estimation.choose import Gain, held_out_gain, held_out_squares
 from rx90_common.estimation.deviations import USUAL_RISE, deviations
 from rx90_common.estimation.fit import Fit, Problem, fit
-from rx90_common.estimation.law import Part
 
 PASSES = 3
 """Fits, each with what the one before tells of the rows."""
@@ -79,7 +78,7 @@ class RampsFit:
     values: Array
     covariance: Array
     spread: Array
-    effect: Trial
+    effect: Gain
     velocities: list[Array]
     asymptotes: list[tuple[float, float]]
 
@@ -394,9 +393,9 @@ def _with_effect(ramps: _Ramps) -> tuple[_Ramps, Fit]:
     return min(results, key=lambda result: result[1].cost)
 
 
-def _trial(simple: Fit, effect: Fit) -> Trial:
+def _trial(simple: Fit, effect: Fit) -> Gain:
     """Judge a Stribeck effect by the error of blocks that the fits did not see."""
-    gain, deviation = held_out_gain(
+    share, deviation = held_out_gain(
         effect.problem.block, held_out_squares(simple), held_out_squares(effect)
     )
-    return Trial(0, Part.STRIBECK, gain, deviation, "delta_s" if effect.at_bound[_KAPPA] else "")
+    return Gain(share, deviation, "delta_s" if effect.at_bound[_KAPPA] else "")

@@ -7,9 +7,9 @@ blocks (the one-standard-error rule of Breiman et al. 1984). A combination with 
 whose omega_s is near the top speed is a slope, which the viscous exponent has as well: it stays only where friction
 falls with speed.
 
-Rise and exponent imitate each other: both at once need two standard errors. An exponent alone is that of the lubricant,
-which all gears of an arm share: where it helps all elements together by the rule, an element gets it if its own squares
-fall at all.
+Rise and exponent imitate each other: both at once, or the second one of them, need two standard errors. An exponent
+without a rise is that of the lubricant, which all gears of an arm share: where it helps all elements together by the
+rule, an element gets it if its own squares fall at all.
 
 A bristle acts after a reversal, as a rise does, and each alone imitates the other: it is tried last, where a rise was
 found.
@@ -24,6 +24,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import lstsq
@@ -53,40 +54,60 @@ _OWN: dict[Part, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True)
-class Trial:
-    """What a part brings an element, beside the others that it has.
+class Gain:
+    """What an element gains by a richer law.
 
     Attributes:
-        element: its number.
-        part: that was tried.
-        gain: by which the held-out RMS error of the element's rows falls, as a share of it.
-        deviation: standard error of the gain.
+        share: by which the held-out RMS error of the element's rows falls, of this error.
+        deviation: standard error of the share.
         bound: the name of a parameter that ended at a bound; "" if none did.
-        errors: how many of these the gain must exceed; 0 for an exponent by which all elements together gain enough.
+        errors: how many standard errors are enough.
+        together: whether all elements together gain enough by an exponent, which they share.
     """
 
-    element: int
-    part: Part
-    gain: float
+    share: float
     deviation: float
     bound: str = ""
     errors: float = STANDARD_ERRORS
+    together: bool = False
 
     @property
     def kept(self) -> bool:
-        """Return whether the element keeps the part."""
-        return bool(self.gain > self.errors * self.deviation and not self.bound)
+        """Return whether the element keeps what is richer."""
+        return bool(not self.bound and (self._is_clear or (self.together and self.share > 0.0)))
+
+    @property
+    def by_all(self) -> bool:
+        """Return whether it does so because of all elements together."""
+        return self.kept and not self._is_clear
+
+    @property
+    def _is_clear(self) -> bool:
+        return self.share > self.errors * self.deviation
 
     @property
     def reason(self) -> str:
         """Return why it does or does not, in words."""
         if self.bound:
             return f"{self.bound} ends at a bound"
-        together = "" if self.errors else "; clear for all elements together"
         return (
-            f"left-out error {100.0 * self.gain:.2g} % less, with a standard error of "
-            f"{100.0 * self.deviation:.2g} %{together}"
+            f"left-out error {100.0 * self.share:.2g} % less, with a standard error of "
+            f"{100.0 * self.deviation:.2g} %"
         )
+
+
+class Trial(NamedTuple):
+    """What a part brings an element, beside the others that it has.
+
+    Attributes:
+        element: its number.
+        part: that was tried.
+        gain: by it.
+    """
+
+    element: int
+    part: Part
+    gain: Gain
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +183,8 @@ def choose(
         for part in parts:
             if part is not Part.BRISTLE:
                 richer = candidates.get(best | {part}, candidates[best])
-                trials.append(_trial(rows, number, part, candidates[_less(best, part)], richer))
+                gain = _gain(rows, number, candidates[_less(best, part)], richer)
+                trials.append(Trial(number, part, gain))
     choice = Choice(tuple(chosen), fit_laws(rows, chosen, None, known), tuple(trials))
     choice = without_bound_parts(rows, choice)
     tried = [number for number, law in enumerate(choice.laws) if Part.STRIBECK in law.parts]
@@ -199,24 +221,23 @@ def _best(rows: FrictionRows, number: int, candidates: dict[Parts, _Fitted]) -> 
         helpful = [
             parts
             for parts in larger
-            if _trial(rows, number, Part.STRIBECK, candidates[best], candidates[parts]).kept
+            if _gain(rows, number, candidates[best], candidates[parts]).kept
         ]
         best = min(helpful, key=lambda parts: squares[parts], default=best)
     return best
 
 
-def _trial(rows: FrictionRows, number: int, part: Part, before: _Fitted, after: _Fitted) -> Trial:
-    """Return what an element gains by what a richer candidate has."""
+def _gain(rows: FrictionRows, number: int, before: _Fitted, after: _Fitted) -> Gain:
     element_rows = rows.elements[number].rows
     squares = before.squares[element_rows], after.squares[element_rows]
-    gain, deviation = held_out_gain(rows.block[element_rows], *squares)
-    errors = STANDARD_ERRORS
-    if after.laws[number].parts >= {Part.STRIBECK, Part.EXPONENT}:
-        errors = BOTH_ERRORS
-    elif after.parts - before.parts == {Part.EXPONENT}:
+    gain = Gain(*held_out_gain(rows.block[element_rows], *squares), after.bound(number))
+    both = {Part.STRIBECK, Part.EXPONENT}
+    if after.laws[number].parts >= both and not before.laws[number].parts >= both:
+        return replace(gain, errors=BOTH_ERRORS)
+    if after.parts - before.parts == {Part.EXPONENT}:
         total, error = held_out_gain(rows.block, before.squares, after.squares)
-        errors = 0.0 if total > STANDARD_ERRORS * error else STANDARD_ERRORS
-    return Trial(number, part, gain, deviation, after.bound(number), errors)
+        return replace(gain, together=total > STANDARD_ERRORS * error)
+    return gain
 
 
 def _with_bristles(rows: FrictionRows, choice: Choice, tried: Sequence[int]) -> Choice:
@@ -228,9 +249,9 @@ def _with_bristles(rows: FrictionRows, choice: Choice, tried: Sequence[int]) -> 
     after = _Fitted(
         [*laws], fit_laws(rows, laws, choice.fit.weight, before.values), frozenset(Part)
     )
-    trials = [_trial(rows, number, Part.BRISTLE, before, after) for number in tried]
+    trials = [Trial(number, Part.BRISTLE, _gain(rows, number, before, after)) for number in tried]
     for trial in trials:
-        if not trial.kept:
+        if not trial.gain.kept:
             laws[trial.element] = choice.laws[trial.element]
     choice = replace(choice, trials=(*choice.trials, *trials))
     if tuple(laws) == choice.laws:

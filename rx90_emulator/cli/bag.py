@@ -196,10 +196,13 @@ def _path(args: argparse.Namespace) -> None:
     robot = load_robot(files.urdf, files.tool)
     signals = _signals(args)
     for bag in args.bags:
-        words = [part.words for part in recorded_accuracy(bag, robot, files, args.signals)]
-        words[1:] = [f"approach: {part}" for part in words[1:]]
-        for line in words or ["no path error: it holds no set-points"]:
-            print(f"{plain(bag)}: {line}")
+        line, approach = recorded_accuracy(bag, robot, files, args.signals)
+        if line is not None:
+            print(f"{plain(bag)}: {line.words}")
+        if approach is not None:
+            print(f"{plain(bag)}: approach: {approach.words}")
+        if line is None and approach is None:
+            print(f"{plain(bag)}: no path error: it holds no set-points")
         _say_cut(bag, signals)
 
 

@@ -142,7 +142,7 @@ class FittedArm:
         if trial is None:
             return f"{part.value} was not tried"
         low, high = self.speeds[number]
-        return f"no {part.value} shows at speeds from {low:.3g} to {high:.3g} rad/s: {trial.reason}"
+        return f"no {part.value} shows at speeds from {low:.3g} to {high:.3g} rad/s: {trial.gain.reason}"
 
 
 def _reason(name: str, value: float, deviation: float, *, determined: bool) -> str:

@@ -162,10 +162,13 @@ def run_check(
     lines = [check_summary(checks)]
     against = objection(checks)
     beside = Path(friction).with_name(FILES["urdf"])
-    if against and robot.urdf and beside.is_file() and not beside.samefile(robot.urdf):
-        lines.append(
-            f"hint: {beside}, with the bodies that {friction} was identified with, was not given as --urdf"
-        )
+    if (
+        against
+        and robot.urdf
+        and beside.is_file()
+        and beside.read_bytes() != Path(robot.urdf).read_bytes()
+    ):
+        lines.append(f"hint: {beside} stands beside {friction}, and is not what --urdf gave")
     if report is not None:
         write_text(report, check_page(checks, friction))
         lines.append(f"report: {report}")

@@ -15,11 +15,12 @@ from rx90_common.bags.reading import BagReader, read_joint_bag
 from rx90_common.bags.topics import STRING, reports_changes
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.urdf import robot_name
 
 _DESCRIPTION = "robot_description"
 _SET_POINTS = "/reference"
-_AT_REST = 1e-6  # rad, from one set-point to the next
+_AT_REST = 2.5e-4  # rad/s
 
 _VALUES = (
     "", "bool", "integer", "double", "string",
@@ -53,8 +54,13 @@ def ends_in_motion(path: Path | str, mapping: LogMapping | None = None) -> bool:
     with BagReader(path, mapping) as bag:
         topics = [topic.name for topic in bag.topics if topic.name.endswith(_SET_POINTS)]
     recorded = read_joint_bag(path, topics, mapping=mapping).series.values()
-    last = [series.fields["position"][-2:] for sets in recorded for series in sets]
-    return any(np.ptp(position, axis=0).max() > _AT_REST for position in last)
+    return any(
+        np.ptp(series.position[-2:], axis=0).max()
+        > _AT_REST * np.ptp(series.stamp_ns[-2:]) / NANOSECONDS
+        for sets in recorded
+        for series in sets
+        if series.position is not None
+    )
 
 
 def read_changes(path: Path | str) -> list[str]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from itertools import zip_longest
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,12 +39,22 @@ _AT_REST = 1e-6  # rad
 _GAP = 3.5  # times the median interval: where more than two set-points in a row are missing, nothing counts
 
 
+class RecordedAccuracy(NamedTuple):
+    """The path error in a bag.
+
+    Attributes:
+        line: without approaches; None in a bag of these alone, or without set-points.
+        approach: on the way to the first point of a trajectory that rests there; None if there is no such way.
+    """
+
+    line: PathAccuracy | None = None
+    approach: PathAccuracy | None = None
+
+
 def recorded_accuracy(
     bag: Path, robot: RobotModel, files: RobotFiles, signals: Path | None = None
-) -> list[PathAccuracy]:
-    """Measure the path error in a bag by `followed_accuracy`, last that of approaches, as far as it holds some.
-
-    An approach is the way to the first point of a trajectory that rests there. A bag without set-points has no error.
+) -> RecordedAccuracy:
+    """Measure the path error in a bag by `followed_accuracy`.
 
     The joints are those of `joint_states` in any namespace, else of `motor_states` through the gears.
 
@@ -59,7 +71,7 @@ def recorded_accuracy(
     topic = _arm_topic(bag, mapping)
     setpoint_topic = _setpoint_topic(bag, topic, mapping)
     if setpoint_topic is None:
-        return []
+        return RecordedAccuracy()
     layout = arm_layout(
         topic, robot.joint_names, options, lambda: load_drives(files.drives), mapping
     )
@@ -77,15 +89,18 @@ def recorded_accuracy(
         robot, times, position, setpoint_times, setpoints.fields["position"]
     )
     approach = _approach(bag, setpoints, np.rint(accuracy.times * NANOSECONDS) + begin)
-    parts = [accuracy.take(rows) for rows in (~approach, approach)]
-    return [part for part in parts if len(part.times)] or [accuracy]
+    if not approach.any():
+        return RecordedAccuracy(accuracy)
+    line = None if approach.all() else accuracy.take(~approach)
+    return RecordedAccuracy(line, accuracy.take(approach))
 
 
 def _approach(bag: Path, setpoints: JointSeries, stamps: Array) -> Mask:
     """Tell at which stamps, ns, the arm was on the way to the first point of a trajectory, or settled there."""
     rows = np.zeros(len(stamps), dtype=np.bool_)
     with suppress(BagError):  # a table, or the trajectories of several controllers
-        for begin, trajectory in read_trajectories(bag):
+        trajectories = read_trajectories(bag)
+        for (begin, trajectory), later in zip_longest(trajectories, trajectories[1:]):
             points = trajectory.points
             if len(points) < 2 or not len(points[0].velocities) or any(points[0].velocities):
                 continue
@@ -97,7 +112,8 @@ def _approach(bag: Path, setpoints: JointSeries, stamps: Array) -> Mask:
             held = setpoints.fields["position"][slice(*there)]
             moved = np.abs(held - held[:1]).max(axis=1) > _AT_REST
             settled = setpoints.stamp_ns[slice(*there)][~moved]
-            rows |= (stamps >= begin) & (stamps <= settled.max(initial=end))
+            way = (stamps >= begin) & (stamps <= settled.max(initial=end))
+            rows |= way if later is None else way & (stamps < later.start_ns)
     return rows
 
 

@@ -211,7 +211,10 @@ def kept_parts(result: ExcitationIdentification) -> str:
         if having:
             texts.append(f"{part.value}: {', '.join(having)}")
     text = " + ".join(texts)
-    return f"{text}; * fits better so, but its parameters stay open" if "*" in text else text
+    if "*" not in text:
+        return text
+    compared = "fits better so, but its " if result.fitted.trials else ""
+    return f"{text}; * {compared}parameters stay open"
 
 
 def bodies_warnings(result: ExcitationIdentification) -> list[str]:

@@ -122,16 +122,17 @@ def test_true_friction_is_confirmed_and_false_is_not(
 ) -> None:
     """The arm's own friction is confirmed with 0; half as much again is not, with 1; a report is written if asked.
 
-    Where bodies stand beside the friction, and others were given, a hint says so.
+    Where other bodies than those that were given stand beside the friction, a hint says so.
     """
     good, bad = hinge.friction(tmp_path / "good.yaml"), hinge.friction(tmp_path / "bad.yaml", 1.5)
     words, report = ["check", good, hinge.bag], tmp_path / "page.html"
     assert checked(hinge, *words, "--report", report) == DONE
-    (tmp_path / "robot.urdf").write_text(hinge.urdf.read_text(encoding="utf-8"), encoding="utf-8")
-    assert checked(hinge, "check", bad, hinge.bag) == VERDICT_NO
-    said = capsys.readouterr()
-    assert re.findall(r"hint: (\S+),", said.out) == [str(tmp_path / "robot.urdf")]
-    assert re.findall(r"validation \S+: (confirmed|NOT CONFIRMED)", said.out) == ["confirmed", "NOT CONFIRMED"]
+    for more, hints in (("<!-- other -->", [str(tmp_path / "robot.urdf")]), ("", [])):
+        (tmp_path / "robot.urdf").write_text(hinge.urdf.read_text(encoding="utf-8") + more, encoding="utf-8")
+        assert checked(hinge, "check", bad, hinge.bag) == VERDICT_NO
+        said = capsys.readouterr()
+        assert re.findall(r"hint: (\S+) stands beside", said.out) == hints
+    assert re.findall(r"validation \S+: (confirmed|NOT CONFIRMED)", said.out) == ["NOT CONFIRMED"]
     assert said.err.splitlines()[-1] == f"rx90 identify: the validation does not confirm {bad}"
     assert {file.name for file in tmp_path.iterdir()} == {"good.yaml", "bad.yaml", "page.html", "robot.urdf"}
     page = report.read_text(encoding="utf-8")

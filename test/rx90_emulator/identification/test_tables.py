@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,9 @@ from hinge_arm import RATE, Hinge
 import rx90_emulator as rx
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.errors import DONE, REFUSED, ConfigError
+from rx90_common.estimation.law import Law, Part
 from rx90_emulator.cli.frame import run
+from rx90_emulator.identification.output.summary import kept_parts
 
 GEAR, CONSTANT, ZERO = -50.0, 0.08, 0.3
 Columns = dict[str, Any]
@@ -182,3 +185,15 @@ def test_tables_of_two_arms_are_refused(motor: Motor, tmp_path: Path) -> None:
     write_map(tmp_path / "b.yaml", gear=[GEAR + 1.0])
     with pytest.raises(ConfigError, match=r"b\.yaml says other things of the arm than .*a\.yaml"):
         rx.check_friction(motor.friction, tables, rx.RobotOptions(urdf=motor.urdf))
+
+
+@pytest.mark.parametrize(("trials", "said"), [([1], "fits better so, but its parameters"), ([], "parameters")])
+def test_a_part_whose_values_stay_open_has_a_star(trials: list[int], said: str) -> None:
+    """That it fits better is said where it was compared, and not where `--model` names it."""
+    laws = [*[Law(frozenset({Part.EXPONENT}))] * 2, Law()]
+    elements: list[Any] = [
+        SimpleNamespace(estimates={"alpha": SimpleNamespace(identifiable=known)}) for known in (True, False, False)
+    ]
+    fitted = SimpleNamespace(laws=laws, trials=trials)
+    result: Any = SimpleNamespace(arm=SimpleNamespace(element_names="abc"), fitted=fitted, elements=elements)
+    assert kept_parts(result) == f"Coulomb + viscous + {Part.EXPONENT.value}: a, b*; * {said} stay open"

@@ -19,9 +19,11 @@ from rx90_controller.lines.task import load_task
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import path_accuracy, plan_path
+from rx90_emulator.loop.recorded_setup import ends_in_motion
 from rx90_emulator.loop.result import write_bag
+from rx90_emulator.loop.run_messages import trajectory_message
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.measured_runs.recorded_path import recorded_accuracy
+from rx90_emulator.measured_runs.recorded_path import RecordedAccuracy, recorded_accuracy
 
 REFERENCE = Path(__file__).resolve().parents[2] / "reference" / "reference_task"
 JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
@@ -82,7 +84,7 @@ def test_it_is_the_distance_across_the_path(shipped: Setup, tmp_path: Path) -> N
         JointSeries(SETPOINTS, JOINTS, asked * STEP, target[asked]),
     ]
     write_joint_states(tmp_path / "bag", series)
-    (found,) = recorded_accuracy(tmp_path / "bag", shipped.robot, RobotFiles())
+    found, _ = recorded_accuracy(tmp_path / "bag", shipped.robot, RobotFiles())
     counted = np.rint(found.times * 1e3).astype(int)
     np.testing.assert_array_equal(counted, np.r_[50:200, 210:501])
     lag = np.linalg.norm(tip_place(shipped.robot, arm[100]) - tip_place(shipped.robot, target[100]))
@@ -94,6 +96,41 @@ def test_it_is_the_distance_across_the_path(shipped: Setup, tmp_path: Path) -> N
         assert error.pop(row) == pytest.approx(np.linalg.norm(across), rel=5e-3)
     near = [far for row, far in error.items() if not 190 < row < 220]  # a chord leads across the gap of the set-points
     assert max(near) < lag**2  # of an arc with a radius of some 0.7 m
+
+
+@pytest.mark.parametrize(("first", "second", "kinds"), [(900, [], ["approach"]), (400, [100], ["line", "approach"])])
+def test_an_approach_lasts_until_it_is_replaced(
+    shipped: Setup, tmp_path: Path, capsys: pytest.CaptureFixture[str], first: int, second: list[int], kinds: list[str]
+) -> None:
+    """One that takes all of the bag is told as such; another trajectory without one ends it where it starts, 100 ms."""
+    stamps, target, arm = arc()
+    series = [
+        JointSeries(topic, JOINTS, stamps * STEP, q) for topic, q in (("/joint_states", arm), (SETPOINTS, target))
+    ]
+    messages = []
+    for begin, rest in ((0, first), *((begin, 0) for begin in second)):
+        times = [{"sec": 0, "nanosec": (rest + more) * STEP} for more in (0, 50)]
+        points = [{"positions": [0.0] * 6, "velocities": [0.0] * 6, "time_from_start": time} for time in times]
+        content = {"joint_names": list(JOINTS), "points": points}
+        messages.append(trajectory_message("/rx90_controller/trajectory_accepted", begin * STEP, content))
+    write_joint_states(tmp_path / "bag", series, messages=messages)
+    found = recorded_accuracy(tmp_path / "bag", shipped.robot, RobotFiles())._asdict()
+    counted = {kind: np.rint(part.times * 1e3).astype(int).tolist() for kind, part in found.items() if part is not None}
+    border = 100 if second else 501
+    ways = {"line": range(border, 501), "approach": range(50, border)}
+    assert counted == {kind: [*ways[kind]] for kind in kinds}
+    assert run("rx90 bag", ["path", str(tmp_path / "bag")]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert ["approach" if ": approach: path error" in line else "line" for line in said] == kinds
+
+
+def test_a_recording_is_cut_where_set_points_have_a_speed(tmp_path: Path) -> None:
+    """0.9 mrad/s at 1 kHz are one; set-points without positions tell nothing."""
+    stamps = np.arange(5)
+    moving = np.outer(stamps, [0.9e-6] * 6)
+    for field, cut in (("position", True), ("velocity", False)):
+        write_joint_states(tmp_path / field, [JointSeries(SETPOINTS, JOINTS, stamps * STEP, **{field: moving})])
+        assert ends_in_motion(tmp_path / field) is cut
 
 
 def test_joints_are_found_in_a_namespace_and_behind_gears(shipped: Setup, tmp_path: Path) -> None:
@@ -112,7 +149,7 @@ def test_joints_are_found_in_a_namespace_and_behind_gears(shipped: Setup, tmp_pa
         of_motors.append((SETPOINTS, time, joint_state(time, JOINTS, target[k])))
     errors = []
     for name, messages in (("joints", of_joints), ("motors", of_motors)):
-        (found,) = recorded_accuracy(write_ros2(tmp_path / name, messages), shipped.robot, RobotFiles())
+        found, _ = recorded_accuracy(write_ros2(tmp_path / name, messages), shipped.robot, RobotFiles())
         errors.append(found.perpendicular)
     assert len(errors[0]) == 451
     np.testing.assert_allclose(errors[0], errors[1], atol=1e-12)
@@ -121,7 +158,7 @@ def test_joints_are_found_in_a_namespace_and_behind_gears(shipped: Setup, tmp_pa
 def test_what_has_none_is_said_and_what_is_another_arm_refused(shipped: Setup, tx40: Setup, tmp_path: Path) -> None:
     """No set-points: nothing. Two arms, another robot's bag: a line with what is accepted."""
     states = [("/joint_states", k, joint_state(k * STEP, JOINTS, [0.1] * 6)) for k in range(3)]
-    assert recorded_accuracy(write_ros2(tmp_path / "none", states), shipped.robot, RobotFiles()) == []
+    assert recorded_accuracy(write_ros2(tmp_path / "none", states), shipped.robot, RobotFiles()) == RecordedAccuracy()
     two = [(f"/{arm}/joint_states", k, message) for arm in "ab" for _, k, message in states]
     with pytest.raises(BagError, match="holds several arms, /a/joint_states, /b/joint_states; accepted: a bag of one"):
         recorded_accuracy(write_ros2(tmp_path / "two", two), shipped.robot, RobotFiles())
