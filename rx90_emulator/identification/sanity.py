@@ -203,6 +203,7 @@ class _SimplestModel:
 # what an undone mistake must explain: standard errors over blocks, and squared error as a share of what remains
 _CLEAR_SE = 3.0
 _MIN_GAIN = 0.4
+_RARER = 0.05  # of the error's logarithm, that a mistake of two motors must explain beside one of a single motor
 _ROWS_PER_PARAMETER = 8.0  # with 2 to 6, 7 % of right signs looked wrong, with more none
 
 
@@ -243,7 +244,8 @@ class _Trials:
         trials = [(mistake, *self._without(mistake)) for mistake in mistakes]
 
         def unlikelihood(trial: tuple[Mistake, Array, Array, Array]) -> float:
-            return round(float(np.log(self._errors(trial[-1])).mean()), 3)
+            errors = round(float(np.log(self._errors(trial[-1])).mean()), 3)
+            return errors + _RARER * (len(trial[0].motors) - 1)
 
         # Of mistakes that explain it equally well, the first.
         best = min(trials, key=unlikelihood, default=None)
