@@ -245,7 +245,7 @@ class _Trials:
 
         def unlikelihood(trial: tuple[Mistake, Array, Array, Array]) -> float:
             errors = round(float(np.log(self._errors(trial[-1])).mean()), 3)
-            return errors + _RARER * (len(trial[0].motors) > 1)
+            return errors + _RARER if len(trial[0].motors) > 1 else errors
 
         # Of mistakes that explain it equally well, the first.
         best = min(trials, key=unlikelihood, default=None)
