@@ -47,6 +47,7 @@ COMMANDS = {
     "published_friction": "published_friction",
     "bristles": "bristles",
     "correction": "correction",
+    "vplus_pallet": "vplus_pallet",
 }
 """The module of each benchmark, and what it is asked for."""
 

@@ -52,6 +52,10 @@ class ProgramClient:
         """Return the newest measured joint angles, rad, shape (n,)."""
         return self._arm.position
 
+    def rest(self, _: float) -> Array:
+        """Return the newest measured joint angles, rad, shape (n,): the controller holds the arm by itself."""
+        return self.position()
+
     def send(self, time: float, position: Array, velocity: Array) -> None:
         """Send a set-point for a simulated time from the first one on, s, and let the arm come to that time.
 

@@ -16,9 +16,8 @@ _DROPPED = "trajectory aborted", "trajectory dropped", "stopped at", "is dropped
 _REFUSED = "trajectory rejected"
 _OVER = "trajectory ended at"
 _PATIENCE = 5.0  # s of the wall clock, that an arm may rest away from its place after a trajectory was due to end
-_SLOWED_PATIENCE = (
-    60.0  # the same where the controller has accepted it: speed scaling stretches its rests
-)
+# the same where the controller has accepted it: speed scaling stretches its rests
+_SLOWED_PATIENCE = 60.0
 _RESTS = 1e-3  # rad: an arm whose joints all stay within it rests
 _MARGIN = 0.1  # s, beyond the time at which it is due
 

@@ -78,6 +78,9 @@ class Drive(Protocol):
     def position(self) -> Array:
         """Return the measured joint angles, rad, shape (6,)."""
 
+    def rest(self, time: float) -> Array:
+        """Stand where the arm is from a time, s, on, its power cut; return its joint angles, rad, shape (6,)."""
+
 
 class Cell:
     """The arm, its signals and the time, which goes on by one beat after the other.
@@ -191,16 +194,25 @@ class Engine:
         self._record_fast = record_fast
         self._plant = setup.plant()
         self._law = setup.cs7b()
-        self._plant.reset(self.start)
-        self._law.reset(self._plant.motor_states()[0])
+        self._reset(0.0, self.start)
         self._ticks = setup.rates.ticks_of(period)
         self._times = np.arange(0.0, period - 1e-9, setup.rates.position_period)
-        self._knots = [np.concatenate([[0.0], self.start, np.zeros(6)])]
         self._series: list[tuple[FastSeries, SlowSeries]] = []
 
     def position(self) -> Array:
         """Return the measured joint angles, rad, shape (6,)."""
         return np.array(self._plant.joint_states()[0])
+
+    def rest(self, time: float) -> Array:
+        """Stand where the arm is from a time, s, on, its power cut; return its joint angles, rad, shape (6,)."""
+        robot = self._setup.robot
+        self._reset(time, np.clip(np.nan_to_num(self.position()), robot.lower, robot.upper))
+        return self.position()
+
+    def _reset(self, time: float, q: Array) -> None:
+        self._plant.reset(q)
+        self._law.reset(self._plant.motor_states()[0])
+        self._knots = [np.concatenate([[time], q, np.zeros(6)])]
 
     def send(self, time: float, position: Array, velocity: Array) -> None:
         """Go to joint angles, rad, with speeds, rad/s, within the next beat.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from itertools import count, zip_longest
 from typing import Any, Final
@@ -135,6 +136,18 @@ def _set_base(task: Task, *place: float | None) -> Waits:
 
 
 # Motions.
+
+
+def _from_rest(action: Callable[..., Waits]) -> Callable[..., Waits]:
+    """Return what a motion does when a stop that is under way has ended, and the place where it begins is known."""
+
+    def act(task: Task, *arguments: Any) -> Waits:
+        if not task.switches & {"POWER", "DRY.RUN"}:
+            raise VplusError("Robot power off")
+        yield from task.until(lambda: not task.queue.stopping, "the end of a stop")
+        yield from action(task, *arguments)
+
+    return act
 
 
 def _break(task: Task) -> Waits:
@@ -401,14 +414,7 @@ _CONTROL: Final[dict[str, Any]] = {
     "PAUSE": _pause,
     "DO": _nothing,
 }
-_ACTIONS: Final[dict[str, Any]] = {
-    "=  any variable": _assign,
-    "SET=  location variable": _set,
-    "HERE  variable": _here,
-    "JHERE  variable variable*": _joints_here,
-    "DECOMPOSE=  location tree": _decompose,
-    "TOOL  place?": _set_tool,
-    "BASE  real? real? real? real?": _set_base,
+_MOTIONS: Final[dict[str, Any]] = {
     "MOVE MOVES  location": _move,
     "MOVET MOVEST  location real": _move,
     "APPRO APPROS  location real": _approach,
@@ -418,6 +424,16 @@ _ACTIONS: Final[dict[str, Any]] = {
     "JMOVE  real? real? real? real? real? real?": _move_joints,
     "READY": lambda task: _issue(task, task.arm.ready),
     "DELAY  seconds": _delay,
+}
+_ACTIONS: Final[dict[str, Any]] = {
+    **{words: _from_rest(action) for words, action in _MOTIONS.items()},
+    "=  any variable": _assign,
+    "SET=  location variable": _set,
+    "HERE  variable": _here,
+    "JHERE  variable variable*": _joints_here,
+    "DECOMPOSE=  location tree": _decompose,
+    "TOOL  place?": _set_tool,
+    "BASE  real? real? real? real?": _set_base,
     "BREAK": _break,
     "BRAKE": lambda task: task.queue.stop(),
     "LEFTY RIGHTY ABOVE BELOW FLIP NOFLIP": _configure,

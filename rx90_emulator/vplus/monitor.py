@@ -148,10 +148,12 @@ class Monitor:
             self._end(f"{error.message} {error.where}")
         if self.is_busy:
             self._go_on(None)
+        cell = self.task.cell
         try:
-            self.task.cell.advance()
+            cell.advance()
         except Rx90Error as error:
-            self.task.queue.drop()
+            cell.queue.drop(cell.drive.rest(cell.time))
+            self.task.switches.discard("POWER")
             self._end(f"*Soft envelope error* {error}")
         self._take_lines()
 

@@ -347,6 +347,7 @@ class MotionQueue:
         monitor: the monitor speed, percent.
         done: the motions that have begun, in their order.
         waiting: the motion that has not begun.
+        stopping: whether the arm slows down to a stop; where it will stand is not known before.
     """
 
     def __init__(self, arm: ProgrammedArm, q: Array) -> None:
@@ -359,7 +360,7 @@ class MotionQueue:
         self._running: list[Motion] = []
         self._path_time = 0.0
         self._rate = 1.0
-        self._stopping = False
+        self.stopping = False
 
     @property
     def at_end(self) -> bool:
@@ -397,12 +398,14 @@ class MotionQueue:
     def stop(self) -> None:
         """End the motion at once: slow down on the path, and drop what is left of it."""
         self.waiting = None
-        self._stopping = not self.at_end
+        self.stopping = not self.at_end
 
-    def drop(self) -> None:
-        """Forget all motions: the power is off."""
+    def drop(self, q: Array) -> None:
+        """Forget all motions: the power is off, and the arm stands at joint angles, rad, shape (6,)."""
         self.waiting = None
         self._running = []
+        self.stopping = False
+        self.position = self.destination = q
 
     def advance(self, period: float, time: float) -> tuple[Array, Array]:
         """Go on by a period, s, that begins at a simulated time, s; return position and velocity at its end.
@@ -410,7 +413,7 @@ class MotionQueue:
         Returns:
             Joint angles, rad, and their speeds, rad/s, shape (6,).
         """
-        rate = 0.0 if self._stopping else self.monitor / 100.0
+        rate = 0.0 if self.stopping else self.monitor / 100.0
         if self._running:
             most = period / _RATE_TIME
             rate = self._rate + float(np.clip(rate - self._rate, -most, most))
@@ -427,14 +430,15 @@ class MotionQueue:
 
     def _end(self, time: float) -> None:
         """Let go of motions that are over, or of all when the arm was to stop and stands."""
-        stopped = self._stopping and self._rate == 0.0
+        stopped = self.stopping and self._rate == 0.0
         for motion in [*self._running]:
             if motion.over <= self._path_time or stopped:
                 motion.ended = time
+                motion.nulls &= not stopped
                 self._running.remove(motion)
                 self.position = self.position if stopped or self._running else motion.end
         if stopped:
-            self._stopping = False
+            self.stopping = False
             self.destination = self.position
 
     def _angles(self, times: Array) -> Array:

@@ -180,7 +180,7 @@ def _parser(reading: str) -> Lark:
 
 
 def parse(text: str, start: str, logic_first: bool = True) -> Any:
-    """Return what a line has: of a program's `step` label and instruction, of a `header`, a `datum`, or its `place`.
+    """Return what a line has: of a `step` its label and instruction, of a `header`, a `datum`, or its `place`.
 
     Raises:
         SyntaxError: saying what the line has and where.

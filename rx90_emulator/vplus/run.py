@@ -205,7 +205,7 @@ def _beat(cell: Cell) -> None:
     try:
         cell.advance()
     except (SupervisionError, DivergenceError) as error:
-        cell.queue.drop()
+        cell.queue.drop(cell.drive.position())
         raise VplusError("Soft envelope error", f"at {cell.time:.3f} s: {error}") from error
 
 

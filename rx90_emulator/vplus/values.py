@@ -23,6 +23,7 @@ NUMBERS: Final = {
     "Undefined program or variable name": -406,
     "Not enough program stack space": -413,
     "Missing argument": -454,
+    "Robot power off": -604,
     "Location out of range": -610,
     "Straight-line motion can't alter configuration": -612,
     "Location too close": -618,

@@ -101,3 +101,23 @@ def test_comparison_has_the_experiment_and_the_source_s_own_input() -> None:
         assert np.all(velocity[own.time <= 2.0] == 0.0)
         assert velocity[-1] == pytest.approx((own.time[-1] - 2.0 - 0.2297) / 0.0321, rel=0.01)
     assert own.time[-1] - 2.0 == pytest.approx(0.55 * 2.95, abs=0.05)
+
+
+def test_multibody_model_slides_with_the_friction_that_is_left() -> None:
+    """After break-away T s' + s = (smooth friction - f_c) / f_v, s being by how much it is slower than the closed form.
+
+    That is the difference of both equations of motion: static friction at first, falling, then none.
+    """
+    model = RampModel(0.2297, 0.0321, 6.3e-5, 0.55, 0.02)
+    static = model.coulomb + model.release
+    levels = [-static, static, model.coulomb, model.coulomb]
+    smooth = CubicHermiteSpline([-STICTION, STICTION, 1.5 * STICTION, 100.0], levels, np.zeros(4))
+    time = np.linspace(0.55, 1.2, 1301)
+    found = simulate_multibody(model, 0.0, RATIO, time)
+    slower = model.velocity(time) - found
+    balance = model.time_constant * np.gradient(slower, time) + slower
+    left = smooth(found / RATIO) - model.coulomb
+    whole = model.release / model.viscous
+    assert balance == pytest.approx(left / model.viscous, abs=0.02 * whole)
+    assert slower.max() > 0.8 * whole
+    assert abs(slower[-1]) < 1e-3 * whole

@@ -191,13 +191,15 @@ def test_estimates_are_right_and_their_intervals_hold(
 
 def test_source_formula_is_high_by_inertia_times_acceleration(grid_results: list[list[RampIdentification]]) -> None:
     """The source's f_c exceeds the truth by the mean J a, within 1 %; its f_v lies in most of its 95 % intervals."""
-    hits = []
+    hits, scores = [], []
     for (fc, fv, inertia, _, _), results in zip(GRID, grid_results, strict=True):
         excess = np.mean([found.source.coulomb.value - fc for found in results])
         expected = np.mean([inertia * ramp.slope / fv for ramp in results[0].ramps])
         assert excess == pytest.approx(expected, abs=0.01 * fc)
         hits += [found.source.viscous.low <= fv <= found.source.viscous.high for found in results]
+        scores += [(found.source.viscous.value - fv) / found.source.viscous.error for found in results]
     assert np.mean(hits) >= 0.9
+    assert np.sqrt(np.mean(np.square(scores))) > 0.6
 
 
 @pytest.mark.parametrize("kind", ["Coulomb-viscous", "LuGre"])

@@ -11,6 +11,7 @@ from lugre_oracle import LuGreOracle
 
 from benchmarks.any_arm import write_arm
 from rx90_common.arm_dynamics import inverse_dynamics, mass_and_bias
+from rx90_common.description.coupling import Coupling
 from rx90_common.friction import FrictionSet
 from rx90_emulator.loop.setup import Setup, load_setup
 
@@ -94,3 +95,10 @@ def test_an_arm_at_rest_on_its_brakes_stays(arm: Arm) -> None:
         assert np.abs(plant.joint_states()[0] - pose).max() < 1e-12
         heaviest = max(heaviest, np.abs(arm.oracle.mass_and_bias(pose, 0.0 * pose)[1]).max())
     assert heaviest > 1.0
+
+
+def test_a_differential_turns_two_joints_by_two_motors() -> None:
+    """Its inverse has halves, and each of its motors has a friction element of its own."""
+    differential = Coupling(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 1.0, -1.0]]))
+    assert differential.joint_turns.tolist() == [[1.0, 0.0, 0.0], [0.0, 0.5, 0.5], [0.0, 0.5, -0.5]]
+    assert differential.element_of_motor == (0, 3, 4)

@@ -17,6 +17,8 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import COPPER, IDEAL_SENSOR, Cogging, CurrentSensor, Windings
 from rx90_common.kernels.compiled import kernel
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.parameters import with_parameters
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.drives import add_cogging, current_shares, fill_windings, warm_motors, warm_windings, winding_dtype
@@ -354,3 +356,17 @@ def test_the_current_loop_has_one_bandwidth(shipped: Setup) -> None:
     both = {"controller.current_bandwidth": 500.0, "drives.current_sensor.bandwidth": 500.0}
     assert with_parameters(setup, both).cs7b().law["current_gain"] < setup.cs7b().law["current_gain"]
     with_parameters(shipped, {"controller.current_bandwidth": 500.0}).cs7b()  # ideal sensors have no part in it
+
+
+def test_another_seed_gives_other_bits(shipped: Setup) -> None:
+    """The noise of current sensors is that of the seed."""
+    names, rest = shipped.robot.joint_names, np.zeros(6)
+    move = TrajectoryPoints.create(names, names, [0.0, 0.1], [rest, rest + 0.01], [rest] * 2, [[]] * 2)
+    setup = sensed(shipped, IDEAL_SENSOR.replaced(noise=NOISE), 7)
+    states = []
+    for seed in (7, 7, 8):
+        fast = simulate(dataclasses.replace(setup, seed=seed), move, rest, 0.05, record_fast=True).fast
+        assert fast is not None
+        states.append(fast.motor_states)
+    assert np.array_equal(states[0], states[1])
+    assert not np.array_equal(states[0], states[2])

@@ -257,3 +257,17 @@ def test_empty_topics_are_no_difference(tmp_path: Path) -> None:
     bags = [str(tmp_path / name) for name in "ab"]
     assert run("rx90 bag", ["compare", *bags]) == 0
     assert run("rx90 bag", ["compare", *bags, "--topic", "quiet"]) == 2
+
+
+def test_rms_and_maximum_of_all_rows() -> None:
+    """Maximum and RMS of random differences are those of the plain formulas, of those that are finite."""
+    a, b = (changed(series(500, seed=k), 7, 1, math.nan) for k in (1, 2))
+    result = compared(a, b)
+    for field, values in a.fields.items():
+        distance = np.where(np.isnan(values), 0.0, values - b.fields[field])
+        finite = np.isfinite(values).sum(axis=0)
+        for column, joint in enumerate(NAMES):
+            found = value_of(result, joint, field)
+            assert found.maximum == np.abs(distance[:, column]).max()
+            assert found.at_ns == a.stamp_ns[np.abs(distance[:, column]).argmax()]
+            assert found.rms == pytest.approx(np.sqrt(np.sum(distance[:, column] ** 2) / finite[column]), rel=1e-12)

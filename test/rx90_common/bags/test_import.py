@@ -14,6 +14,7 @@ from bag_making import joint_state, write_ros2
 from processes import files_up_to
 from rosbags.highlevel import AnyReader
 
+from rx90_common.bags import exporting
 from rx90_common.bags.exporting import export_bag
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.logs import read_log
@@ -385,3 +386,18 @@ def test_a_table_needs_one_set_of_joints(tmp_path: Path) -> None:
     changing = write_ros2(tmp_path / "changing", [("/joints", 10, first), ("/joints", 30, other)])
     with pytest.raises(BagError, match="several sets of joints: a, b; c"):
         export_bag(changing, tmp_path / "changed.csv")
+
+
+def test_who_interrupts_leaves_nothing(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ctrl-C in the middle of an export ends with 130, and no file stands there."""
+
+    def interrupted(path: Path, *_: object) -> None:
+        path.write_text("half a table", encoding="utf-8")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(exporting, "FORMATS", dict.fromkeys(exporting.FORMATS, interrupted))
+    assert run("rx90 bag", ["export", str(bag), "--output", str(tmp_path / "out"), "--topic", "joint_states"]) == 130
+    assert "interrupted; nothing was written" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

@@ -81,7 +81,7 @@ def test_an_unknown_payload_of_one_kilogram_does_not_move_tau_c(sweeps: Any, arm
 
 def test_torques_that_no_weight_explains_are_an_alarm(sweeps: Any, arm: RigidArm) -> None:
     """Torques in mNm, of motors, early, or of no friction are said; where no weight moves, nothing can be told."""
-    record, _ = sweeps([0, 1, 2], 4)
+    record, _ = sweeps([0, 1, 2], 4, longest=1.0)
     right = identify_sliding([record], arm)
     assert right.alarms == ()
     assert [right.scales[f"joint_{k}"] for k in (1, 2)] == pytest.approx([math.nan, 1.0], abs=0.02, nan_ok=True)

@@ -20,6 +20,7 @@ from rx90_controller.node.servo_loop import ServoLoop
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.node import held_command
 
+Array = NDArray[np.float64]
 TICKS = 5000
 
 
@@ -68,7 +69,12 @@ class Nodes:
         self.controller = serving.Serving(
             theirs, motor_names(6), rates, self.loop, pacer, "robot", self.said.append, self.said.append
         )
+        self._modes = {
+            "serving": self.controller.serve_free_running,
+            "lock_step": lambda: self.controller.serve_lock_step(0.0),
+        }
         ours.serve = self.controller.serve_free_running
+        self.setup = setup
         codec = JointStateCodec(motor_names(6))
         self._encode = JointStateCodec(motor_names(6)).encoder(*self.plant.motor_states())
         self.held = held_command.HeldCommand(
@@ -77,6 +83,16 @@ class Nodes:
         self._period_ns = rates.period_ns
         self.error = np.zeros(6)
         self.torque = np.zeros(6)
+
+    @property
+    def moving(self) -> bool:
+        """Return whether a trajectory runs."""
+        return self.cs7b.trajectory.moving(self.cs7b.position_tick)
+
+    def follow(self, mode: str) -> None:
+        """Let the controller serve in this mode, as `Serving` does."""
+        self.controller.begin_anew()
+        self._channel.serve = self._modes[mode]
 
     def _note(self, _stamp: int) -> None:
         self.error = np.maximum(self.error, np.abs(self.cs7b.tracking_error()[0]))
@@ -119,6 +135,49 @@ def test_a_controller_that_is_late_leaves_no_deviation(nodes: Nodes, shipped: Se
     assert np.all(nodes.error < 1.03 * ideal[0] + 2e-5)
     assert np.all(nodes.torque < 0.7 * shipped.drives.peak_torque)
     assert not [line for line in nodes.said if "torque off" in line or "behind" in line]
+
+
+def test_a_controller_that_stays_away_closes_the_brakes(nodes: Nodes) -> None:
+    """Without a controller no torque is older than a few ticks; back again, it leads the motion on without a fault."""
+    nodes.run(1500, repeat(1))
+    nodes._channel.serve = lambda: None
+    nodes.held._timeout = 0.0
+    nodes.run(1000, repeat(10_000))
+    assert nodes.plant.brakes_closed
+    assert "torque off, brakes closed" in nodes.said[-1]
+    nodes._channel.serve = nodes.controller.serve_free_running
+    nodes.held._timeout = 0.1
+    nodes.run(TICKS, repeat(1))
+    assert not nodes.plant.brakes_closed
+    assert nodes.loop.state.switch.fault is None
+    assert any("behind the simulation: a trajectory that runs comes later" in line for line in nodes.said)
+    assert np.abs(nodes.cs7b.tracking_error()[0]).max() < 5e-3
+
+
+def test_a_reset_and_a_new_mode_end_a_motion(nodes: Nodes) -> None:
+    """After a reset, and after each change of `time_mode` under way, the arm is held where it is, without a fault."""
+    nodes.run(1000, repeat(1))
+    assert nodes.moving
+    nodes.plant.reset(HOME)
+    nodes.held.forget()
+    nodes.run(400, repeat(1))
+    assert not nodes.moving
+    assert nodes.plant.joint_states()[0] == pytest.approx(HOME, abs=1e-3)
+    for mode in ("lock_step", "serving"):
+        nodes.cs7b.trajectory.accept(motion(nodes.setup, 2), nodes.cs7b.position_tick, None)
+        nodes.run(1000, repeat(1))
+        assert nodes.moving
+        nodes.follow(mode)
+        nodes.run(400, repeat(1))
+        assert not nodes.moving
+        assert not nodes.plant.brakes_closed
+        assert nodes.cs7b.tick == nodes.plant.tick
+        assert np.abs(nodes.plant.joint_states()[1]).max() < 0.02
+        nodes.cs7b.reset(nodes.plant.motor_states()[0], nodes.cs7b.tick)
+        nodes.plant.reset(HOME)
+        nodes.held.forget()
+        nodes.run(400, repeat(1))
+    assert nodes.loop.state.switch.fault is None
 
 
 def test_the_margin_is_that_of_the_phase(shipped: Setup) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import socket
 import threading
@@ -166,6 +167,25 @@ def test_a_reaction_that_was_aborted_comes_again(talk: Talk) -> None:
         assert " 5\r\n" in talk("exec p", 3)
         talk("abort")
         talk("y")
+
+
+def test_the_arm_moves_again_behind_a_power_cut(shipped: Setup, tmp_path: Path) -> None:
+    """The supervision is told of once, motions are refused until ENABLE POWER, and begin where the arm then stands."""
+    shown: list[str] = []
+    cell = Cell(shipped, Engine(shipped, keep=False))
+    monitor = Monitor(cell, tmp_path, shown.append)
+    cell.queue.position = cell.queue.position + 0.3
+    lines = {"where": "Soft envelope error", "do drive 1, 10, 50": "*Robot power off*\r\n.", "en po": "en po\r\n\r\n."}
+    for line, answer in lines.items():
+        monitor.receive(f"{line}\r".encode())
+        for _ in range(20):
+            monitor.beat()
+        assert "".join(shown).count(answer) == 1
+    stood = cell.drive.position()
+    monitor.receive(b"do drive 1, 10, 50\r")
+    for _ in range(60):
+        monitor.beat()
+    assert cell.drive.position() - stood == pytest.approx([math.radians(10), 0, 0, 0, 0, 0], abs=2e-4)
 
 
 def test_a_client_talks_over_tcp(shipped: Setup, tmp_path: Path) -> None:

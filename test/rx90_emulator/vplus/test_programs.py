@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -291,21 +290,19 @@ def test_reactions_interrupt_and_may_stop_the_motion(shipped: Setup) -> None:
     assert 10.0 < done.cell.arm.joints(done.cell.queue.destination)[0] < 40.0
 
 
-def test_a_pallet_of_twelve_parts_runs_fast(shipped: Setup) -> None:
-    """Every part is picked and placed; the run is many times faster than real time."""
-    text = (
-        "SET pick = TRANS(550,-200,-250,0,180)\nSPEED 60 ALWAYS\nMOVE #PPOINT(0,-90,180,0,90,0)\nFOR i = 0 TO 2\n"
-        "FOR j = 0 TO 3\nSET place = SHIFT(TRANS(450,200,-250,0,180) BY i*40,j*40,0)\nAPPRO pick, 80\nMOVES pick\n"
-        "CLOSEI\nDEPARTS 80\nAPPRO place, 80\nMOVES place\nOPENI\nDEPARTS 80\nEND\nEND"
-    )
-    ratios = []
-    for _ in range(2):  # the first one imports and compiles
-        began = time.process_time()
-        done = ran(shipped, text, longest=120.0)
-        ratios.append(done.cell.time / (time.process_time() - began))
-    assert done.error is None
-    assert len(done.motions) == 73
-    assert max(ratios) > 20.0
+def test_a_motion_behind_a_stop_begins_where_the_arm_stands(shipped: Setup) -> None:
+    """BRAKE, and a reaction that stops: set-points do not jump, and only motions wait for the end of the stop."""
+    behind = "SIGNAL 1\nDRIVE 1,-10,50\nBREAK"
+    brake = f"DRIVE 1,60,50\nWAIT.EVENT , 0.4\nBRAKE\n{behind}"
+    react = f".PROGRAM p()\nREACTI 1001, q\nDRIVE 1,60,50\nBREAK\n.END\n.PROGRAM q()\n{behind}\n.END\n"
+    for text, inputs in ((brake, []), (react, [Change(0.4, 1001, True)])):
+        done = ran(shipped, text, *inputs)
+        assert done.error is None
+        assert done.result is not None
+        q = np.degrees(done.result.slow.reference[:, 0, 0])
+        assert np.abs(np.diff(q)).max() < 0.125  # of 1 ms, at 118 deg/s
+        assert q[-1] == pytest.approx(q[round(1e3 * done.motions[0].ended)] - 10.0, abs=0.01)
+        assert done.cell.changes[0].time == pytest.approx(0.4, abs=0.02)
 
 
 def test_the_command_writes_what_it_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
