@@ -90,9 +90,12 @@ class Gain:
         """Return why it does or does not, in words."""
         if self.bound:
             return f"{self.bound} ends at a bound"
+        needed = (
+            "" if self.errors == STANDARD_ERRORS else f", {self.errors:g} times which is needed"
+        )
         return (
             f"left-out error {100.0 * self.share:.2g} % less, with a standard error of "
-            f"{100.0 * self.deviation:.2g} %"
+            f"{100.0 * self.deviation:.2g} %{needed}"
         )
 
 

@@ -11,7 +11,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_controller.trajectory import TrajectoryPoints
 
-_DROPPED = "trajectory aborted", "trajectory dropped", "stopped at", "is dropped"
+_DROPPED = "trajectory aborted", "trajectory dropped", "stopped at", "is dropped", "stream begins"
 """What the lines of a controller contain that say that a trajectory does not come to its end."""
 _REFUSED = "trajectory rejected"
 _OVER = "trajectory ended at"
@@ -65,6 +65,7 @@ class SentTrajectory:
             self._message.points,
         ):
             self._is_accepted = True
+            self.fault = ""  # what was said before concerned others
             self.begin = message_time_ns(accepted.header.stamp) / NANOSECONDS
 
     def take_line(self, line: str) -> None:
@@ -84,7 +85,7 @@ class SentTrajectory:
         if math.isnan(self.begin):
             self.begin = now
         gap = float(np.abs(position - self._goal).max())
-        self._has_been_away |= gap > self._away
+        self._has_been_away |= gap > self._away or self._is_over
         is_due = now > self.begin + self.duration + _MARGIN
         if is_due and self._has_been_away and gap <= self._tolerance:
             self.end = now if self._is_late else self.begin + self.duration
@@ -98,6 +99,6 @@ class SentTrajectory:
             where = (
                 f"rests {gap:.4f} rad from the trajectory's end (accepted: {self._tolerance:g})"
                 if self._has_been_away
-                else "has not moved"
+                else f"rests within {self._away:.4f} rad of where it began, and has not been farther"
             )
             self.fault = f"the arm {where}, {patience:g} s after it was due or came to rest"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import partial
 from itertools import count, zip_longest
@@ -22,6 +23,7 @@ _NULL_TIME: Final = 2.0  # s, until errors must be small
 _STRAIGHT: Final = ("MOVES", "MOVEST", "APPROS", "DEPARTS", "ALIGN")
 _HAND: Final = {"O": (3001, -3002), "C": (-3001, 3002), "R": (-3001, -3002)}
 """Signals of the hand: open, closed, relaxed."""
+_BETWEEN: Final = re.compile(r"\s*,\s*|(?<=[\d.])\s+(?=[-+.\d])")
 _NO_UNITS: Final = {None, 0.0, 1.0}
 """Units that take nothing that is typed: the robot, and its pendant."""
 _CONFIGURATIONS: Final = ("RIGHTY", "LEFTY"), ("ABOVE", "BELOW"), ("NOFLIP", "FLIP")
@@ -385,8 +387,8 @@ def _ask(task: Task, question: str, *targets: Cell) -> Waits:
 
 
 def typed_numbers(line: str) -> list[str]:
-    """Return the parts of a line, which commas separate, or blanks where there is no comma."""
-    return line.split("," if "," in line else None)
+    """Return the parts of a line, which commas separate, or blanks between two numbers."""
+    return _BETWEEN.split(line.strip())
 
 
 def _attach(task: Task, unit: Tree = None, *_: object) -> None:

@@ -19,7 +19,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from rx90_common.base.errors import Rx90Error
+from rx90_common.base.errors import DivergenceError, Rx90Error, SupervisionError
 from rx90_common.base.quoting import plain
 from rx90_emulator.vplus.cell import Cell
 from rx90_emulator.vplus.instructions import CONTROL, typed_numbers
@@ -95,6 +95,10 @@ class Monitor:
         """Return whether a command runs that takes no line."""
         return not self._asks
 
+    @property
+    def _has_unit(self) -> bool:
+        return self.program is not None and bool(self.task.units)
+
     def receive(self, data: bytes) -> None:
         """Take bytes from the terminal: make lines of them, and do what they say."""
         for character in data.decode("latin-1"):
@@ -118,8 +122,7 @@ class Monitor:
 
     def _take_lines(self) -> None:
         """Take lines for whoever asks; a program with a unit has all of them, between its READs, too."""
-        has_unit = self.program is not None and self.task.units
-        while self._lines and (self._reads or (self._asks and not has_unit)):
+        while self._lines and (self._reads or (self._asks and not self._has_unit)):
             line = self._lines.pop(0)
             self._send(f"{line}\r\n")
             if self._reads:
@@ -151,10 +154,12 @@ class Monitor:
         cell = self.task.cell
         try:
             cell.advance()
-        except Rx90Error as error:
+        except (SupervisionError, DivergenceError) as error:
             cell.queue.drop(cell.drive.rest(cell.time))
             self.task.switches.discard("POWER")
             self._end(f"*Soft envelope error* {error}")
+        except Rx90Error as error:  # of running nodes, which may come back
+            self._end(f"*{error}*")
         self._take_lines()
 
     def rounds(self) -> Waits:
@@ -439,10 +444,30 @@ def _edit(monitor: Monitor, text: str) -> Dialogue:
         programs.update(trial.programs)
 
 
-def _enable(monitor: Monitor, text: str) -> Dialogue:
+def _speed(monitor: Monitor, text: str) -> None:
+    """Set the monitor speed, also of a program that runs."""
+    (speed,) = parse_line(f"SPEED {text}").arguments
+    monitor.task.queue.monitor = min(monitor.task.taken("percent", speed), 100.0)
+
+
+def _switch(text: str) -> str:
+    """Return the switch that begins as what was typed."""
     known = [name for name in ("POWER", "CP", "DRY.RUN") if text and name.startswith(text.upper())]
-    yield from _do(monitor, f"ENABLE {[*known, text][0]}")
+    return [*known, text][0]
+
+
+def _enable(monitor: Monitor, text: str) -> Dialogue:
+    yield from _do(monitor, f"ENABLE {_switch(text)}")
     yield ""
+
+
+def _disable(monitor: Monitor, text: str) -> Dialogue:
+    """Switch something off; without power, program and motion end."""
+    if _switch(text) == "POWER":
+        monitor.abort()
+        monitor.task.switches.discard("POWER")
+    else:
+        yield from _do(monitor, f"DISABLE {_switch(text)}")
 
 
 COMMANDS: Final[dict[str, str | Command]] = {
@@ -466,14 +491,12 @@ COMMANDS: Final[dict[str, str | Command]] = {
     "DELETE": _delete,
     "EDIT": _edit,
     "ENABLE": _enable,
+    "DISABLE": _disable,
     "CALIBRATE": "BREAK",
     "ZERO": _zero,
-    "SPEED": "SPEED {} MONITOR",
-    "PANIC": "BRAKE",
-    **{
-        word: f"{word} {{}}"
-        for word in ("TOOL", "BASE", "SIGNAL", "RESET", "PARAMETER", "DISABLE", "TYPE")
-    },
+    "SPEED": _speed,
+    "PANIC": lambda monitor, _: monitor.abort(),
+    **{word: f"{word} {{}}" for word in ("TOOL", "BASE", "SIGNAL", "RESET", "PARAMETER", "TYPE")},
 }
 """Commands, of which the first fits that begins as what was typed; a text is an instruction."""
 
@@ -510,8 +533,12 @@ def serve(
     else:
         with socket.create_server(("127.0.0.1", port)) as server:
             announce(f"socket://127.0.0.1:{server.getsockname()[1]}")
+            server.settimeout(_LATEST)  # so that an interrupt ends it
             while True:
-                client, _ = server.accept()
+                try:
+                    client, _ = server.accept()
+                except TimeoutError:
+                    continue
                 with client:
                     _exchange(client.fileno(), monitor, output, baud, waits)
 

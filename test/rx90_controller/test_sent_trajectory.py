@@ -75,6 +75,7 @@ def test_a_trajectory_that_comes_late_ends_later() -> None:
 def test_what_happens_to_others_is_nothing() -> None:
     """Refusals of others, and trajectories of others before this one was accepted, do not end it."""
     trajectory = sent()
+    trajectory.take_line("trajectory rejected: joint_8 is not there")
     trajectory.take_acceptance(accepted(7.0, [0.3]))
     trajectory.take_acceptance(accepted(20.0))
     trajectory.take_line("trajectory rejected: joint_9 is not there")
@@ -90,6 +91,7 @@ def test_what_happens_to_others_is_nothing() -> None:
         ("trajectory aborted: too far; stopping and holding", True),
         ("the trajectory that waited is dropped: disabled", False),
         ("stopped at 22.000 s; holding", True),
+        ("stream begins at 22.000 s", True),
     ],
 )
 def test_the_controller_says_why_it_does_not_end(line: str, begun: bool) -> None:
@@ -128,4 +130,14 @@ def test_an_arm_that_does_not_move_has_not_arrived() -> None:
     """A refused closed path whose refusal nobody hears: the arm is at its end all the time."""
     trajectory = sent()
     assert follow(trajectory, 100.0, scale=0.0) == pytest.approx(30.0, abs=0.3)
-    assert "the arm has not moved" in trajectory.fault
+    assert "and has not been farther" in trajectory.fault
+
+
+def test_a_motion_that_nobody_saw_has_ended_where_the_controller_says_so() -> None:
+    """Without a pace a short closed path is over between two samples."""
+    trajectory = sent()
+    trajectory.take_acceptance(accepted(20.0))
+    trajectory.see(19.0, PLACES[:1], 0.0)
+    trajectory.take_line(ENDED)
+    trajectory.see(26.0, PLACES[:1], 0.1)
+    assert (trajectory.end, trajectory.fault) == (25.0, "")

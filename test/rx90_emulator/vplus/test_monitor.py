@@ -13,6 +13,7 @@ from queue import Queue
 
 import pytest
 
+from rx90_common.base.errors import ExchangeError
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.vplus.cell import Cell, Engine
 from rx90_emulator.vplus.monitor import Monitor, serve
@@ -147,7 +148,7 @@ def test_a_program_with_units_has_what_is_typed(talk: Talk) -> None:
     units = ('ATTACH (lun, 4) "SERIAL:1"', "ATTACH (5)", *loop, "DETACH (lun)", *loop, "DETACH (5)", "WAIT FALSE")
     for line in ("EDIT p", *units, "E", "exec p"):
         talk(line, 1)
-    assert " 1 -2.5 3\r\n" in talk(" 1 -2.5  3", 3)
+    assert " 1 -2.5 3\r\n" in talk(" 1 -2.5, 3", 3)
     for line in ("4 , 5", "- 5, 3, 20 mm", "6"):
         assert talk(line, 1) == ""
     assert re.search(r"(?s) 4 5 0\r.* 0 3 20\r.* 6 0 0\r\nstatus\r\nTask 0  running", talk("status", 60))
@@ -157,6 +158,36 @@ def test_a_program_with_units_has_what_is_typed(talk: Talk) -> None:
         talk(line)
     assert talk("\x03") == "\r\n."
     assert talk("exec p", 3) == "exec p\r\n."
+
+
+@pytest.mark.parametrize("word", ["panic", "dis po"])
+def test_panic_and_speed_act_while_a_program_runs(talk: Talk, word: str) -> None:
+    """SPEED slows it down at once, PANIC and no power end it and its motion; what is wrong is refused."""
+    for line in ("EDIT p", "DRIVE 1,60,20", "BREAK", "E", "exec p"):
+        talk(line, 2)
+    assert talk("speed 50", 3) == "speed 50\r\n."
+    assert "Illegal value" in talk("speed 0")
+    assert talk(word, 30) == f"{word}\r\n."
+    assert "Task 0  stopped" in talk("status")
+    here = talk("where")
+    assert talk("where", 20) == here
+
+
+def test_nodes_that_are_away_are_no_power_cut(shipped: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The monitor says what it does not hear, and goes on with its programs when they are back."""
+    shown: list[str] = []
+    engine = Engine(shipped, keep=False)
+    monitor = Monitor(Cell(shipped, engine), tmp_path, shown.append)
+
+    def silent(*_: object) -> None:
+        raise ExchangeError("the arm's time stands still")
+
+    with monkeypatch.context() as away:
+        away.setattr(engine, "send", silent)
+        monitor.beat()
+    assert "*the arm's time stands still*" in "".join(shown)
+    assert "POWER" in monitor.task.switches
+    monitor.beat()
 
 
 def test_a_reaction_that_was_aborted_comes_again(talk: Talk) -> None:
