@@ -37,7 +37,7 @@ action: environment-run
 # Three at once on two cores: many tests wait for nodes and pages that are paced by a clock.
 test: packages environment-dev
 	@$(BIN)/python -m tools.interfaces || [ $$? -eq 1 ]
-	@$(BIN)/python -m pytest -n 2 --dist worksteal --durations=10 $(ARGS)
+	@$(BIN)/python -m pytest -n 3 --dist worksteal --durations=10 $(ARGS)
 
 FAST := test/rx90_sim test/rx90_controller test/rx90_common test/rx90_emulator/loop test/rx90_emulator/identification
 test-fast: environment-dev
