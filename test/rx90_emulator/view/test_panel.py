@@ -97,8 +97,9 @@ def test_who_has_the_code_moves_the_arm_and_nobody_else(
         panel = ControlPanel(page, client, shipped, plan, None, newest, "/rx90_controller")
         with served(page):
             first = open_page(page.address, SIZE)
+            first.wait_until(lambda: bool(states), "states of the arm")
             unlock(first, panel.lock.code)
-            first.wait_until(lambda: bool(states) and first.button("Send the line").is_visible(), "the inputs")
+            first.wait_until(lambda: first.button("Send the line").is_visible(), "the inputs")
             _a_slider_moves_its_joint(first, panel, states)
             _a_stranger_does_not(page, panel, states)
             second = open_page(page.address, SIZE)
@@ -123,7 +124,7 @@ def test_who_has_the_code_moves_the_arm_and_nobody_else(
 def unlock(shown: BrowserPage, code: str) -> None:
     """Type a code, as slowly as a person, and press the button."""
     shown.page.locator(FIELD.format("code")).first.fill(code)
-    shown.page.wait_for_timeout(300)  # of what is changed within 50 ms viser's client sends the last later
+    shown.page.wait_for_timeout(1000)  # of what is changed within 50 ms viser's client sends the last later
     shown.button("Unlock").click()
 
 
