@@ -344,8 +344,8 @@ def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
         ramps = ramps.moved(ramps.fit().x)
     result = ramps.fit()
     moved, effect = _with_effect(ramps)
-    trial = _trial(result, effect)
-    if trial.kept:
+    gain = _gain(result, effect)
+    if gain.kept:
         result = effect
         ramps = moved
         problem = effect.problem
@@ -378,7 +378,7 @@ def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
         values=np.array([beta / alpha, 1.0 / alpha, T / alpha]),
         covariance=to_values @ covariance[:_KAPPA, :_KAPPA] @ to_values.T,
         spread=ramps.spread(result.x) / np.abs(result.x[:_T]),
-        effect=trial,
+        effect=gain,
         velocities=velocities,
         asymptotes=asymptotes,
     )
@@ -393,9 +393,8 @@ def _with_effect(ramps: _Ramps) -> tuple[_Ramps, Fit]:
     return min(results, key=lambda result: result[1].cost)
 
 
-def _trial(simple: Fit, effect: Fit) -> Gain:
+def _gain(simple: Fit, effect: Fit) -> Gain:
     """Judge a Stribeck effect by the error of blocks that the fits did not see."""
-    share, deviation = held_out_gain(
-        effect.problem.block, held_out_squares(simple), held_out_squares(effect)
-    )
-    return Gain(share, deviation, "delta_s" if effect.at_bound[_KAPPA] else "")
+    squares = held_out_squares(simple), held_out_squares(effect)
+    bound = "delta_s" if effect.at_bound[_KAPPA] else ""
+    return Gain(*held_out_gain(effect.problem.block, *squares), bound)

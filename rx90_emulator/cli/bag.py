@@ -327,10 +327,11 @@ def _info(options: argparse.Namespace) -> None:
     from rx90_common.bags.summary import summarise
     from rx90_common.bags.tables import summary_json, summary_text
 
-    summary = summarise(options.bag, _signals(options))
+    signals = _signals(options)
+    summary = summarise(options.bag, signals)
     print(summary_json(summary) if options.json else summary_text(summary))
     if not options.json:
-        _say_cut(options.bag, _signals(options))
+        _say_cut(options.bag, signals)
 
 
 def _say_cut(bag: Path | str, mapping: LogMapping | None) -> None:

@@ -212,13 +212,14 @@ def _beat(cell: Cell) -> None:
 # What is told of a run.
 
 
-_COLUMNS = "line,motion,begin s,end s,taken s,alone s,null s,error mm,null mm,joints in degrees"
+_TIMES = "begin s", "end s", "taken s", "alone s", "null s"
+_COLUMNS = "line", "motion", *_TIMES, "error mm", "null mm", "joints in degrees"
 _WIDTHS = "<20", "<8", *[">8"] * 7, "<1"
 
 
 def table(run: ProgramRun) -> list[list[str]]:
     """Return the table of motions; null: how long it took behind the last set-point, how far it was off then."""
-    rows = [_COLUMNS.split(",")]
+    rows = [[*_COLUMNS]]
     for motion in run.motions:
         taken = motion.ended - motion.began
         nulling = motion.settled - motion.ended

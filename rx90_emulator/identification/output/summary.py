@@ -200,18 +200,20 @@ def in_currents(result: Identification) -> list[str]:
 def kept_parts(result: ExcitationIdentification) -> str:
     """Return in words the parts of the selected friction, and which elements have them; * where values stay open."""
     texts = ["Coulomb + viscous"]
+    is_open = False
     elements = [*zip(result.arm.element_names, result.fitted.laws, result.elements, strict=True)]
     for part in Part:
         values = [name for name, owner in PART_OF.items() if owner is part]
-        having = [
-            name if all(element.estimates[value].identifiable for value in values) else f"{name}*"
-            for name, law, element in elements
-            if part in law.parts
-        ]
+        having = []
+        for name, law, element in elements:
+            if part in law.parts:
+                known = all(element.estimates[value].identifiable for value in values)
+                having.append(name if known else f"{name}*")
+                is_open |= not known
         if having:
             texts.append(f"{part.value}: {', '.join(having)}")
     text = " + ".join(texts)
-    if "*" not in text:
+    if not is_open:
         return text
     compared = "fits better so, but its " if result.fitted.trials else ""
     return f"{text}; * {compared}parameters stay open"
