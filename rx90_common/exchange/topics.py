@@ -22,6 +22,8 @@ COMMAND_INTERFACES: Final = {
     JOINT_INTERFACE: (MEASURED_JOINT_STATES, JOINT_COMMANDS),
 }
 """The sides on which the simulation can be commanded, each with the topics of states and of commands."""
+REFERENCE: Final = "reference"
+"""Private topic of the controller: its set-points."""
 TRAJECTORY_ACCEPTED: Final = "trajectory_accepted"
 """Private topic of the controller: the trajectory that it follows, stamped with its start time."""
 COMMANDED_TRAJECTORY: Final = "joint_trajectory"

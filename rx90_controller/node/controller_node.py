@@ -49,6 +49,7 @@ from rx90_common.exchange.topics import (
     FREE_RUNNING,
     MOTOR_COMMANDS,
     MOTOR_STATES,
+    REFERENCE,
     TRAJECTORY_ACCEPTED,
     TimeMode,
     motor_names,
@@ -137,7 +138,7 @@ class Control:
         codec = JointStateCodec(cs7b.joint_names)
         motors = JointStateCodec(motor)
         details = zip(DETAILS, (codec, motors, motors), cs7b.details(), strict=True)
-        reference = topic("reference"), codec.encoder(*cs7b.reference())
+        reference = topic(REFERENCE), codec.encoder(*cs7b.reference())
         error = topic("tracking_error"), codec.encoder(*cs7b.tracking_error())
         self._offset = np.zeros(len(cs7b.joint_names))
         self._correction = topic(CORRECTION), codec.encoder(position=self._offset)

@@ -34,6 +34,7 @@ from rx90_common.exchange.topics import (
     COMMANDED_CORRECTION,
     COMMANDED_TRAJECTORY,
     CORRECTED,
+    REFERENCE,
     TRAJECTORY_ACCEPTED,
 )
 from rx90_controller.lines.plan import Approach, LinePlan, approached
@@ -199,7 +200,7 @@ class TrajectoryClient:
         Raises:
             ExchangeError: if there are none within the client's timeout.
         """
-        return self._newest(self.topic.rsplit("/", 1)[0] + "/reference", names, "set-point")
+        return self._newest(f"{self.topic.rsplit('/', 1)[0]}/{REFERENCE}", names, "set-point")
 
     def _newest(self, topic: str, names: Sequence[str], what: str) -> NewestPositions:
         newest = NewestPositions(self._client, topic, names)

@@ -17,9 +17,9 @@ from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.urdf import robot_name
+from rx90_common.exchange.topics import REFERENCE
 
 _DESCRIPTION = "robot_description"
-_SET_POINTS = "/reference"
 _AT_REST = 2.5e-4  # rad/s
 
 _VALUES = (
@@ -52,7 +52,7 @@ def check_robot(path: Path | str, robot: str) -> None:
 def ends_in_motion(path: Path | str, mapping: LogMapping | None = None) -> bool:
     """Tell whether set-points in a bag still move at the end of the recording."""
     with BagReader(path, mapping) as bag:
-        topics = [topic.name for topic in bag.topics if topic.name.endswith(_SET_POINTS)]
+        topics = [topic.name for topic in bag.topics if topic.name.endswith(f"/{REFERENCE}")]
     recorded = read_joint_bag(path, topics, mapping=mapping).series.values()
     return any(
         np.ptp(series.position[-2:], axis=0).max()

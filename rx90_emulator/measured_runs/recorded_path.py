@@ -21,7 +21,7 @@ from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange.topics import MOTOR_STATES, SAMPLED
+from rx90_common.exchange.topics import MOTOR_STATES, REFERENCE, SAMPLED
 from rx90_controller.lines.task import SETTLING
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.identification.robot import (
@@ -34,7 +34,6 @@ from rx90_emulator.identification.robot import (
 from rx90_emulator.loop.line import PathAccuracy, followed_accuracy
 from rx90_emulator.loop.recorded_setup import check_robot
 
-_SET_POINTS = "reference"
 _AT_REST = 1e-6  # rad
 _GAP = 3.5  # times the median interval: where more than two set-points in a row are missing, nothing counts
 
@@ -140,7 +139,7 @@ def _setpoint_topic(bag: Path, arm: str, mapping: LogMapping | None) -> str | No
     topics = [
         topic
         for topic in topic_names(bag, mapping)
-        if topic.startswith(f"{namespace}/") and topic.endswith(f"/{_SET_POINTS}")
+        if topic.startswith(f"{namespace}/") and topic.endswith(f"/{REFERENCE}")
     ]
     return min(topics, key=lambda topic: topic.count("/"), default=None)
 
