@@ -146,7 +146,7 @@ def _from_rest(action: Callable[..., Waits]) -> Callable[..., Waits]:
     def act(task: Task, *arguments: Any) -> Waits:
         if not task.switches & {"POWER", "DRY.RUN"}:
             raise VplusError("Robot power off")
-        yield from task.until(lambda: not task.queue.stopping, "the end of a stop")
+        yield from _end_of_stop(task)
         yield from action(task, *arguments)
 
     return act
@@ -172,20 +172,18 @@ def _issue(task: Task, end: Array, **instead: float) -> Waits:
     motion = _motion(task, end)
     motion.continuous = chosen["CP"] != 0.0 and "CP" in task.switches
     motion.nulls = chosen["NULL"] != 0.0
-    if motion.kind in _STRAIGHT:
-        postures = [task.arm.posture(q) for q in (motion.start, end)]
-        if postures[0] != postures[1]:
-            raise VplusError(
-                "Straight-line motion can't alter configuration", " to ".join(map(str, postures))
-            )
-        start = task.arm.flange(motion.start) @ task.tool
-        motion.line = Line(start, task.arm.flange(end) @ task.tool, task.tool, postures[0])
-    plan(task.arm, motion, chosen, "SCALE.ACCEL" in task.switches)
     motion.at_start = task.at_start
     task.at_start = []
-    if "DRY.RUN" not in task.switches:
+    while True:
+        _plan(task, motion, chosen)
+        if "DRY.RUN" in task.switches:
+            return
         task.cell.tolerance = chosen["FINE"] / 100.0
         yield from _give(task, motion)
+        if motion.has_begun:
+            return
+        yield from _end_of_stop(task)
+        motion.start = task.queue.destination
 
 
 def _motion(task: Task, end: Array) -> Motion:
@@ -193,10 +191,28 @@ def _motion(task: Task, end: Array) -> Motion:
     return Motion(task.step.word, where, task.queue.destination, end, task.tool)
 
 
+def _plan(task: Task, motion: Motion, chosen: dict[str, float]) -> None:
+    if motion.kind in _STRAIGHT:
+        postures = [task.arm.posture(q) for q in (motion.start, motion.end)]
+        if postures[0] != postures[1]:
+            raise VplusError(
+                "Straight-line motion can't alter configuration", " to ".join(map(str, postures))
+            )
+        start = task.arm.flange(motion.start) @ motion.tool
+        end = task.arm.flange(motion.end) @ motion.tool
+        motion.line = Line(start, end, motion.tool, postures[0])
+    plan(task.arm, motion, chosen, "SCALE.ACCEL" in task.switches)
+
+
 def _give(task: Task, motion: Motion) -> Waits:
+    """Wait until a motion begins, or a stop of the one before drops it."""
     task.queue.give(motion)
     task.queue.begin_waiting(task.cell.settled, task.cell.time)
     return task.until(lambda: task.queue.waiting is not motion, "the motion before")
+
+
+def _end_of_stop(task: Task) -> Waits:
+    return task.until(lambda: not task.queue.stopping, "the end of a stop")
 
 
 def _move(task: Task, target: Array | Joints, hand: float | None = None) -> Waits:
@@ -245,7 +261,10 @@ def _delay(task: Task, seconds: float) -> Waits:
     motion = _motion(task, task.queue.destination)
     motion.continuous = False
     motion.profile = Profile(seconds * task.queue.monitor / 100.0, 1e-3, 1e-3)
-    return _give(task, motion)
+    yield from _give(task, motion)
+    if not motion.has_begun:
+        yield from _end_of_stop(task)
+        yield from _delay(task, seconds)
 
 
 def _choose(task: Task, **values: float) -> None:
@@ -392,8 +411,8 @@ def typed_numbers(line: str) -> list[str]:
 
 
 def _attach(task: Task, unit: Tree = None, *_: object) -> None:
-    """Give the program a unit of input and output, a free one where a variable stands for it."""
-    if isinstance(unit, Reference):
+    """Give the program a unit of input and output, a free one where an undefined variable stands for it."""
+    if isinstance(unit, Reference) and task.cell_of(unit).value is None:
         free = next(number for number in count(10) if number not in task.units)
         task.cell_of(unit).store(float(free))
     task.units |= {task.taken("real?", unit)} - _NO_UNITS

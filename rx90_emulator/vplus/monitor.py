@@ -37,6 +37,7 @@ class Ask(str):
     __slots__ = ()
 
 
+_DOT: Final = Ask(".")
 Dialogue: TypeAlias = Generator["str | None", str, Any]
 Command: TypeAlias = Callable[["Monitor", str], "Dialogue | None"]
 _PLACES: Final = (np.ndarray, Joints)
@@ -80,7 +81,7 @@ class Monitor:
         self.cycles = 0
         self._send = send
         self._dialogue = self._commands()
-        self._asks = False
+        self._question: Ask | None = None
         self._reads = False
         self._answer: str | None = None
         self._typed = ""
@@ -93,7 +94,7 @@ class Monitor:
     @property
     def is_busy(self) -> bool:
         """Return whether a command runs that takes no line."""
-        return not self._asks
+        return self._question is None
 
     @property
     def _has_unit(self) -> bool:
@@ -108,9 +109,7 @@ class Monitor:
             self._before = character
             if ord(character) == _INTERRUPT:
                 self._take_lines()
-                self.abort()
-                self._lines = []
-                self._typed = ""
+                self._interrupt()
             elif character in "\r\n":
                 self._lines.append(self._typed)
                 self._typed = ""
@@ -120,9 +119,20 @@ class Monitor:
                 self._typed += character
         self._take_lines()
 
+    def _interrupt(self) -> None:
+        """End the program, a command with its question, and what has been typed."""
+        self.abort()
+        self._lines = []
+        self._typed = ""
+        if self._question != _DOT:
+            self._dialogue.close()
+            self._dialogue = self._commands()
+            self._send("\r\n")
+            self._go_on(None)
+
     def _take_lines(self) -> None:
         """Take lines for whoever asks; a program with a unit has all of them, between its READs, too."""
-        while self._lines and (self._reads or (self._asks and not self._has_unit)):
+        while self._lines and (self._reads or (not self.is_busy and not self._has_unit)):
             line = self._lines.pop(0)
             self._send(f"{line}\r\n")
             if self._reads:
@@ -187,13 +197,13 @@ class Monitor:
         while item is not None and not isinstance(item, Ask):
             self._send(f"{item}\r\n")
             item = next(self._dialogue)
-        self._asks = item is not None
+        self._question = item
         self._send(item or "")
 
     def _commands(self) -> Dialogue:
         """Ask for commands, and carry them out."""
         while True:
-            line = yield Ask(".")
+            line = yield _DOT
             try:
                 yield from self._command(line.strip())
             except VplusError as error:
@@ -256,6 +266,7 @@ def _numbers(value: Any) -> tuple[float, ...]:
 
 
 def _here(monitor: Monitor, text: str) -> Dialogue:
+    parse(text, "place")  # before anything is stored
     yield from _do(monitor, "BREAK")
     yield from _do(monitor, f"HERE {text}")
     yield from _point(monitor, text)

@@ -269,6 +269,11 @@ class Motion:
     nulled: float = math.nan
 
     @property
+    def has_begun(self) -> bool:
+        """Return whether it has begun."""
+        return not math.isnan(self.began)
+
+    @property
     def over(self) -> float:
         """Return the time on the path at which it ends, s."""
         return self.begin + self.profile.duration

@@ -69,6 +69,8 @@ NUMBER = r"\s+-?\d+\.\d{3}"
         (["do x = 4", 'do $s = "a"', "listr"], r"listr\r\nx = 4.0\r\n\."),
         (["do x = 4", "point x"], r"point x\r\n\*Illegal value\* a real; accepted: a location\r\n\."),
         (["HERE o[1]", " 1 2  3", "", "listl o"], r".*\r\n.*\r\no\[1\] +1.000 +2.000 +3.000 .*\r\n\."),
+        (["do x = 1", "here o[x]", "listl o"], r"listl o\r\n +X/J1 .*r/J6\r\n\."),
+        (["HERE o", "\x03listl o"], r"\r\n\.listl o\r\n.*\r\no +0.000 .*\r\n\."),
         (["point o[x]"], r"point o\[x\]\r\n\*'x\]' is not expected\*\r\n\."),
         (["edit 1"], r"edit 1\r\n\*'1' is not expected\*\r\n\."),
         (["do x = 4", 'do $s = "a"', "lists"], r'lists\r\n\$s = "a"\r\n\.'),
@@ -157,6 +159,8 @@ def test_a_program_with_units_has_what_is_typed(talk: Talk) -> None:
     for line in ("1", "3,4", "nonsense"):
         talk(line)
     assert talk("\x03") == "\r\n."
+    assert "\r\n." in talk('do prompt "? ", x\r\x03', 3, "")
+    assert "X/J1" in talk("listl")
     assert talk("exec p", 3) == "exec p\r\n."
 
 

@@ -134,6 +134,7 @@ def test_the_seam_is_straight_and_as_accurate_as_the_same_line(shipped: Setup) -
         ("TYPE INRANGE(TRANS(500,0,0,0,180)), INRANGE(#PPOINT(0,90)), CONFIG()", " 0 2 0"),
         ("BITS 1, 4 = 5\nLOCK 2\nDECOMPOSE j[0] = #PHERE\nTYPE BITS(1,4), /F4.0, j[1], /I0, 7", " 5 -907"),
         ("TYPE DEFINED(x)\nx = 1\nTYPE DEFINED(x)", " 0| -1"),
+        ("u = 7\nATTACH (u)\nATTACH (v, 4)\nTYPE u, v", " 7 10"),
         ("ATTACH ()\nACCEL (1) 50\nDETACH (0)\nTYPE ACCEL(1), ACCEL(2)", " 50 100"),
         ('WAIT.EVENT 1,\nBITS 1, = 1\nREACT 5, p,\nSIGNAL 5\nTYPE POS("ab", "b",), BITS(1,)', " 2 1| 2 1"),
         ("ACCEL 0, 2000\nTYPE ACCEL(1), ACCEL(2)", " 1 1000"),
@@ -288,6 +289,19 @@ def test_reactions_interrupt_and_may_stop_the_motion(shipped: Setup) -> None:
     assert shown(done) == [" -1", "on"]
     assert 1.0 < done.cell.time < 2.5
     assert 10.0 < done.cell.arm.joints(done.cell.queue.destination)[0] < 40.0
+
+
+def test_a_motion_that_waits_survives_a_stop_of_the_one_before(shipped: Setup) -> None:
+    """REACTI ends the motion under way; the one that waited, and its signal, come when the reaction is through."""
+    text = ".PROGRAM p()\nREACTI 1001, q\nDRIVE 1,60,50\nOPEN\n{}\nSIGNAL 2\n{}\nBREAK\n.END\n"
+    text += ".PROGRAM q()\nSIGNAL 1\n.END\n"
+    for waiting, behind in (("MOVE #PPOINT(-10,-80,90)", ""), ("DELAY 0.2", "MOVE #PPOINT(-10,-80,90)")):
+        done = ran(shipped, text.format(waiting, behind), Change(0.4, 1001, True))
+        assert done.error is None
+        assert [change.signal for change in done.cell.changes if change.signal < 3000] == [1, 2]
+        assert 3001 in [change.signal for change in done.cell.changes]
+        assert done.cell.arm.joints(done.cell.queue.destination)[:2] == pytest.approx([-10.0, -80.0])
+        assert done.motions[0].ended < done.motions[0].over
 
 
 def test_a_motion_behind_a_stop_begins_where_the_arm_stands(shipped: Setup) -> None:
