@@ -7,7 +7,6 @@ from pathlib import Path
 
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
 from rx90_common.base.quoting import one_line
-from rx90_common.base.share import SHIPPED_RIG
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_emulator.cli.options import add_json, add_rig_argument, add_robot_arguments, add_verbs
 
@@ -36,29 +35,21 @@ def _check(options: argparse.Namespace) -> int:
     from rx90_emulator.configuration.check import check_path, kind_named
 
     kind = None if options.kind is None else kind_named(options.kind)
-    problems = 0
-    refused: list[str] = []
+    verdict = DONE
+    refused: list[ConfigError] = []
     for path in options.files:
         try:
-            checked = check_path(path, kind)
+            files = check_path(path, kind)
         except ConfigError as error:  # the files behind it are checked first
-            refused.append(str(error))
+            refused.append(error)
             continue
-        for one in checked:
-            problems += len(one.problems)
-            print("\n".join(one.problems) or one_line(f"{one.path}: {one.kind}, no problem"))
+        for file in files:
+            print("\n".join(file.problems) or one_line(f"{file.path}: {file.kind}, no problem"))
+            if file.problems:
+                verdict = VERDICT_NO
     if refused:
-        # One line, which says once what is accepted instead of several files.
-        by_accepted: dict[str, list[str]] = {}
-        for text in refused:
-            fault, _, accepted = text.partition("; accepted: ")
-            by_accepted.setdefault(accepted, []).append(fault)
-        raise ConfigError(
-            "; ".join(
-                f"{'; '.join(faults)}; accepted: {one}" for one, faults in by_accepted.items()
-            )
-        )
-    return VERDICT_NO if problems else DONE
+        raise refused[0]
+    return verdict
 
 
 def _add_show(show: argparse.ArgumentParser) -> None:
@@ -70,27 +61,14 @@ def _add_show(show: argparse.ArgumentParser) -> None:
 def _show(options: argparse.Namespace) -> int:
     """Show what a setup of the arm, and the friction rig, come to.
 
-    Each value with its unit, where it comes from (file and line, command line, default of the code), whether it is
+    Each value with its unit, where it comes from (file and line, or default of the code), whether it is
     assumed, and the sentence that names its source.
     """
-    from rx90_emulator.configuration.origins import (
-        COMMAND_LINE,
-        OF_CODE,
-        rig_values,
-        setup_values,
-        steps_value,
-        values_json,
-        values_table,
-    )
-    from rx90_emulator.loop.setup import Setup
+    from rx90_emulator.configuration import origins
 
-    files = RobotFiles.of_options(options)
-    steps = steps_value(Setup.load(files))
-    of_robot = f"robot {options.robot}" if options.robot is not None else OF_CODE
-    chosen = {role: of_robot if getattr(options, role) is None else COMMAND_LINE for role in FILES}
-    origin = OF_CODE if options.rig == SHIPPED_RIG else COMMAND_LINE
-    values = [*setup_values(files, chosen), steps, *rig_values(options.rig, origin)]
-    print(values_json(values) if options.json else values_table(values))
+    values = origins.robot_values(RobotFiles.of_options(options))
+    values += origins.rig_values(options.rig)
+    print(origins.values_json(values) if options.json else origins.values_table(values))
     return DONE
 
 

@@ -54,7 +54,6 @@ VERBS = (
     "bag",
     "sweep",
     "check",
-    "example",
     "config",
     "completion",
 )
@@ -88,7 +87,7 @@ to program the robot
 to write controllers and nodes
   demo, view           the whole system once, with a report; the arm in the browser
   bag                  record, compare, draw, summarise, export and import bags
-  check, example       test a controller of your own; an example of one
+  check                test a controller of your own
   config, sweep        check parameter files and show their values; many runs over parameters
 
 nodes: ros2 run rx90_emulator rx90_cell (the arm and its controller), rx90_sim, rx90_controller, friction_bench

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_common.process.children import kill_all
 from rx90_common.process.interrupts import ends_within
-from rx90_common.process.threads import be_nicer, where_threads_are
+from rx90_common.process.threads import be_nicer
 from rx90_emulator.cli.options import (
     add_node,
     add_robot_arguments,
@@ -55,7 +55,7 @@ def main(options: argparse.Namespace) -> None:
     Raises:
         KeyboardInterrupt: before the page shows what it was started for; later Ctrl-C is how it ends.
     """
-    with ends_within(*_END_WITHIN, _give_up, _say_where) as start:
+    with ends_within(*_END_WITHIN, _give_up, _cut_off) as start:
         import viser  # noqa: F401 - before kernels are compiled for a page that cannot be made
 
         try:
@@ -70,14 +70,10 @@ def _give_up() -> None:
     print("rx90 view: interrupted", file=sys.stderr, flush=True)
 
 
-def _say_where() -> None:
+def _cut_off() -> None:
     kill_all()
-    lines = "; ".join(where_threads_are())
-    print(
-        f"rx90 view: did not end within {_END_WITHIN[1]:g} s, and was cut off. {lines}",
-        file=sys.stderr,
-        flush=True,
-    )
+    late = f"did not end within {_END_WITHIN[1]:g} s, and was cut off"
+    print(f"rx90 view: {late}", file=sys.stderr, flush=True)
 
 
 def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> None:
@@ -91,7 +87,6 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
     from rx90_emulator.loop.line import plan_path
     from rx90_emulator.loop.path_file import load_motion
     from rx90_emulator.loop.setup import Setup
-    from rx90_emulator.view import CODE
     from rx90_emulator.view.live import LiveView
     from rx90_emulator.view.page import Page
     from rx90_emulator.view.panel import ControlPanel
@@ -119,8 +114,8 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
         be_nicer(_NICENESS)
         with client_node("rx90_view", _TIMEOUT, print, options.ros_args) as client:
             view = LiveView(page, client, setup.robot, controller, line)
-            panel = ControlPanel(page, client, setup, plan, view.trace, view.newest, controller)
-            print(f"{CODE}{panel.lock.code}", flush=True)
+            panel = ControlPanel(page, client, setup, plan, view.newest, controller)
+            print(f"code to move the arm: {panel.lock.code}", flush=True)
             page.announce(browser=not options.no_browser)
             if tour is None:
                 started()

@@ -27,6 +27,7 @@ from rx90_emulator.loop.setup import Setup
 _MORE_OF_A_KEY = re.compile(r"[\w*]")
 _LINE = re.compile(r"\bline (\d+)")
 _MAX_KEYS = 100  # by which the kind of a file is told
+_NO_LINES: Mapping[str, int] = {}
 _NAMES = (*(kind.name for kind in KINDS), NODE_PARAMETERS)
 
 
@@ -104,13 +105,12 @@ def check_file(path: Path, kind: FileKind | None = None) -> CheckedFile:
     try:
         content = read_yaml(path, first=True, lines=lines)
     except ConfigError as error:
-        return CheckedFile(
-            path, "unreadable" if kind is None else kind.name, (_with_line(path, error, {}),)
-        )
+        name = "unreadable" if kind is None else kind.name
+        return CheckedFile(path, name, (_with_line(path, error),))
     kind = kind or kind_of(path, content)
-    found: list[Rx90Error] = [*kind.faults(path, content)] or _faults_of(lambda: kind.read(path))
-    shown = {plain(place): line for place, line in lines.items()} if found else {}
-    return CheckedFile(path, kind.name, tuple(_with_line(path, error, shown) for error in found))
+    faults: list[Rx90Error] = [*kind.faults(path, content)] or _faults_of(lambda: kind.read(path))
+    problems = tuple(_with_line(path, error, lines) for error in faults)
+    return CheckedFile(path, kind.name, problems)
 
 
 def _faults_of(read: Callable[[], object]) -> list[Rx90Error]:
@@ -121,71 +121,62 @@ def _faults_of(read: Callable[[], object]) -> list[Rx90Error]:
     return []
 
 
-def _with_line(path: Path, error: Rx90Error, lines: Mapping[str, int]) -> str:
+def _with_line(path: Path, error: Rx90Error, lines: Mapping[str, int] = _NO_LINES) -> str:
     """Return a refusal with the line of the key that it begins with, or that it names."""
     text = str(error).removeprefix(f"{plain(path)}: ")
-    ends = [
-        end
-        for end in range(1, len(text) + 1)
-        if text[:end] in lines and not _MORE_OF_A_KEY.match(text, end)
-    ]
+    begins = {
+        len(key): line
+        for key, line in lines.items()
+        if text.startswith(plain(key)) and not _MORE_OF_A_KEY.match(text, len(plain(key)))
+    }
     named = _LINE.search(text)
-    line = f"{lines[text[: max(ends)]]}:" if ends else f"{named[1]}:" if named else ""
+    line = f"{begins[max(begins)]}:" if begins else f"{named[1]}:" if named else ""
     return one_line(f"{plain(path)}:{line} {text}")
 
 
 def _check_urdf(path: Path) -> CheckedFile:
-    return CheckedFile(
-        path,
-        "URDF",
-        tuple(_with_line(path, error, {}) for error in _faults_of(lambda: load_robot(path))),
-    )
-
-
-def _faults_together(files: RobotFiles) -> list[Rx90Error]:
-    """Return what is wrong with files of a robot, each right alone, that others decide."""
-    try:
-        setup = Setup.load(files)
-        setup.plant()
-    except Rx90Error as refused:
-        return [refused]
-    faults: list[Rx90Error] = []
-    task = files.task
-    if task is not None:
-        found = _faults_of(lambda: plan_path(setup, load_task(task)))
-        faults += [ConfigError(f"{plain(task)}: {error}") for error in found]
-    poses = files.poses
-    if poses is not None:
-        found = _faults_of(lambda: Poses.load(poses).check(setup.robot))
-        faults += [ConfigError(f"{plain(poses)}: {error}") for error in found]
-    return faults
+    faults = _faults_of(lambda: load_robot(path))
+    return CheckedFile(path, "URDF", tuple(_with_line(path, error) for error in faults))
 
 
 def _check_robot(folder: Path) -> list[CheckedFile]:
-    """Check the files of a robot folder one by one and, if there is nothing wrong in them, together.
-
-    Together: names of joints in all files, poses, whether the arm can travel the task's line, missing files.
-    """
+    """Check the files of a robot folder one by one and, if there is nothing wrong in them, together."""
     files = RobotFiles.named(str(folder))
-    roles = {
-        path: role
-        for role in FILES
-        if role != "urdf" and (path := getattr(files, role)) is not None
-    }
-    found = [
-        check_file(path, kind_named(role))
-        if path.is_file()
-        else CheckedFile(path, role, (f"{plain(path)}: is missing; accepted: a {role} file",))
-        for path, role in roles.items()
-    ]
-    found.append(_check_urdf(files.urdf))
-    if any(each.problems for each in found):
-        return found
-    together = []
-    for error in _faults_together(files):
-        of = next((path for path in roles if str(error).startswith(f"{plain(path)}: ")), None)
-        lines: dict[str, int] = {}
-        if of is not None:
-            read_yaml(of, lines=lines)
-        together.append(str(error) if of is None else _with_line(of, error, lines))
-    return [*found, CheckedFile(folder, "robot folder", tuple(together))]
+    checked = [_check_urdf(files.urdf)]
+    for role in FILES:
+        path: Path | None = getattr(files, role)
+        if role == "urdf" or path is None:
+            continue
+        if path.is_file():
+            checked.append(check_file(path, kind_named(role)))
+        else:
+            missing = f"{plain(path)}: is missing; accepted: a {role} file"
+            checked.append(CheckedFile(path, role, (missing,)))
+    if not any(file.problems for file in checked):
+        checked.append(CheckedFile(folder, "robot folder", tuple(_problems_together(files))))
+    return checked
+
+
+def _problems_together(files: RobotFiles) -> list[str]:
+    """Return what is wrong with files of a robot, each right alone, that others decide.
+
+    These are names of joints, poses, and whether the arm can travel the task's line.
+    """
+    try:
+        setup = Setup.load(files)
+        setup.plant()
+    except Rx90Error as error:
+        for path in (files.drives, files.friction, files.controller):
+            if str(error).startswith(f"{plain(path)}: "):
+                lines: dict[str, int] = {}
+                read_yaml(path, lines=lines)
+                return [_with_line(path, error, lines)]
+        return [str(error)]
+    problems = []
+    if (task := files.task) is not None:
+        faults = _faults_of(lambda: plan_path(setup, load_task(task)))
+        problems += [_with_line(task, error) for error in faults]
+    if (poses := files.poses) is not None:
+        faults = _faults_of(lambda: Poses.load(poses).check(setup.robot))
+        problems += [_with_line(poses, error) for error in faults]
+    return problems

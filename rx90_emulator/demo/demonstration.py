@@ -8,7 +8,6 @@ from __future__ import annotations
 import signal
 import sys
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,9 +16,7 @@ from tqdm import tqdm
 
 from rx90_common.bags.comparison import BagComparison, Verdict, compare_bags
 from rx90_common.bags.reading import read_joint_states
-from rx90_common.bags.summary import summarise
 from rx90_common.bags.tables import comparison_text
-from rx90_common.base.errors import ProcessError
 from rx90_common.description.robot_files import RobotFiles, provenance_of
 from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
@@ -27,11 +24,9 @@ from rx90_common.process.files import write_text
 from rx90_common.report.page import render_page
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import LineTask, load_task
-from rx90_emulator.demo.animation import animate
 from rx90_emulator.demo.plots import effort, friction, path_error, tracking
 from rx90_emulator.loop.line import path_accuracy, run_line
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view import CODE, OPENED, TO_OTHERS
 from rx90_sim.node.simulation_client import SimulationClient
 
 SWITCHED_OFF = "without feed-forward, D on the measured velocity alone"
@@ -73,43 +68,28 @@ class RunReport:
         controller = setup.controller.replaced(feed_forward=setup.controller.feed_forward.off())
         self.path_without = run_line(replace(setup, controller=controller), task).path_accuracy
 
-    def write(
-        self,
-        page: Path,
-        baseline: Path,
-        comparison: BagComparison,
-        *,
-        pace: float,
-        reached: float,
-        composed: bool,
-    ) -> None:
-        """Write the page.
+    def page(self, baseline: Path, comparison: BagComparison, factor: float, pace: str) -> str:
+        """Return the text of the page.
 
         Args:
-            page: the file.
             baseline: the bag it was compared with.
             comparison: of the two bags.
-            pace: the real-time factor that was asked for; 0 for none.
-            reached: the one that was reached, simulated time over wall time.
-            composed: whether simulation and controller shared a process.
+            factor: simulated time over wall time.
+            pace: what of, in words.
         """
         setup = self.setup
-        files = self.setup.files
-        text = render_page(
+        provenance = provenance_of(setup.files)
+        return render_page(
             "rx90_emulator.demo",
             "report.html.j2",
             robot=setup.robot.model.name,
-            provenance={getattr(files, k).name: v for k, v in provenance_of(files).items()},
+            provenance={getattr(setup.files, k).name: v for k, v in provenance.items()},
             run=self,
-            real_time_factor=reached,
+            factor=factor,
             pace=pace,
-            composed=composed,
-            messages=sum(topic.count for topic in summarise(self.bag).topics),
             baseline=baseline,
             limit=PATH_LIMIT,
             switched_off=SWITCHED_OFF,
-            top=max(PATH_LIMIT, self.path.worst),
-            animation=animate(self.joints, self.path, setup.robot, self.task),
             same=comparison.verdict is Verdict.SAME,
             topics=comparison.topics,
             joints=_joint_rows(self),
@@ -121,7 +101,6 @@ class RunReport:
                 "effort": effort(self.joints),
             },
         )
-        write_text(page, text)
 
 
 def _joint_rows(run: RunReport) -> list[tuple[str, float, float, float, float]]:
@@ -140,7 +119,6 @@ def _joint_rows(run: RunReport) -> list[tuple[str, float, float, float, float]]:
 START_TIME = 0.25
 """When the trajectory starts, s: late enough to arrive before it, whatever the machine does, because time
 stands still until every process is there."""
-_PAGE_TIMEOUT = 20.0  # s, for a person to open the page
 _SERVICE_TIMEOUT = 60.0
 _BAR = "{l_bar}{bar}| {n:.2f}/{total:.2f} s simulated [{elapsed}<{remaining}{postfix}]"
 
@@ -153,25 +131,16 @@ class Demonstration:
         files: its files, and the task.
         pace: the real-time factor; 0 is as fast as it goes.
         composed: simulation and controller share a process.
-        view: options of `rx90 view` for a page in the browser beside it; None for no page.
     """
 
-    def __init__(
-        self,
-        robot: str,
-        files: RobotFiles,
-        pace: float,
-        composed: bool = False,
-        view: Sequence[object] | None = None,
-    ) -> None:
-        self._robot = robot
-        self._task_file = files.required("task")
-        self._motion = ("--robot", robot, self._task_file, "--start-time", START_TIME)
+    def __init__(self, robot: str, files: RobotFiles, pace: float, *, composed: bool) -> None:
+        task_file = files.required("task")
+        self._robot = ("-p", f"robot:={robot}")
+        self._motion = ("--robot", robot, task_file, "--start-time", START_TIME)
         self._pace = pace
         self._composed = composed
-        self._view = view
         self._setup = Setup.load(files)
-        self._task = load_task(self._task_file)
+        self._task = load_task(task_file)
         self._plan = plan_line(self._setup.robot, self._task, self._setup.rates.position_period)
 
     def run(self, folder: Path) -> bool:
@@ -189,14 +158,14 @@ class Demonstration:
             group.start(
                 "closed_loop", executable("rx90 run", *self._motion, "--output", baseline)
             ).expect_success()
-        factor = self._run_processes(folder, recorded)
+        factor = self._run_processes(folder / "log", recorded)
         print("comparing the recorded run with the closed loop without ROS ...", flush=True)
         comparison = compare_bags(recorded, baseline)
         print(comparison_text(comparison))
         run = RunReport(recorded, self._setup, self._task, START_TIME)
-        run.write(
-            page, baseline, comparison, pace=self._pace, reached=factor, composed=self._composed
-        )
+        paced = f"paced to {self._pace:g}" if self._pace else "not paced"
+        nodes = "nodes in one process" if self._composed else "each node a process"
+        write_text(page, run.page(baseline, comparison, factor, f"real time, {paced}; {nodes}"))
         print(
             f"path error: worst {run.path.worst * 1e3:.4f} mm, "
             f"{run.path_without.worst * 1e3:.4f} mm {SWITCHED_OFF}; asked for: {PATH_LIMIT * 1e3:g} mm"
@@ -206,13 +175,11 @@ class Demonstration:
             print("rx90 demo: the path error is above what was asked for", file=sys.stderr)
         return run.path.worst <= PATH_LIMIT and comparison.verdict is Verdict.SAME
 
-    def _run_processes(self, folder: Path, bag: Path) -> float:
+    def _run_processes(self, logs: Path, bag: Path) -> float:
         """Run the processes to the end of the task; return the real-time factor."""
         duration = START_TIME + self._plan.duration
-        pose = ", ".join(repr(float(angle)) for angle in self._plan.start_pose)
-        of_robot = ("-p", f"robot:={self._robot}")
         given = {
-            "initial_position": f"[{pose}]",
+            "initial_position": self._plan.start_pose.tolist(),
             "duration": duration,
             "real_time_factor": self._pace,
             "paused": "true",
@@ -221,18 +188,15 @@ class Demonstration:
             word for name, value in given.items() for word in ("-p", f"rx90_sim:{name}:={value}")
         ]
         print("starting simulation, controller, trajectory and recorder ...", flush=True)
-        with ProcessGroup(folder / "log") as group:
+        with ProcessGroup(logs) as group:
             recorder = group.start("recorder", executable("rx90 bag", "record", "--output", bag))
             node = "rx90_cell" if self._composed else "rx90_sim"
             simulation = group.start(
-                "simulation", executable(node, "--ros-args", *parameters, *of_robot)
+                "simulation", executable(node, "--ros-args", *parameters, *self._robot)
             )
             if not self._composed:
-                group.start("controller", executable("rx90_controller", "--ros-args", *of_robot))
+                group.start("controller", executable("rx90_controller", "--ros-args", *self._robot))
             line = group.start("trajectory", executable("rx90 line", *self._motion))
-            if self._view is not None:
-                about = ("--robot", self._robot, "--task", self._task_file)
-                _wait_for_page(group.start("view", executable("rx90 view", *about, *self._view)))
             recorder.wait_for("ready: all")
             line.expect_success()
             factor = _follow_clock(simulation, duration)
@@ -242,23 +206,6 @@ class Demonstration:
         return factor
 
 
-def _wait_for_page(page: ChildProcess) -> None:
-    """Give a person a moment to open the page before time runs."""
-    address = page.wait_for(r"page: (.*) [(]")[1]
-    for line in page.lines:
-        if line == TO_OTHERS or line.startswith(CODE):
-            print(line)
-    print(
-        f"page: {address}; time runs once it is open, at the latest in {_PAGE_TIMEOUT:g} s",
-        flush=True,
-    )
-    try:
-        page.wait_for(OPENED, _PAGE_TIMEOUT)
-    except ProcessError:
-        if page.returncode is not None:
-            raise
-
-
 def _follow_clock(process: ChildProcess, duration: float) -> float:
     """Let time run and draw a progress bar of simulated time until the simulation's process ends.
 
@@ -266,29 +213,20 @@ def _follow_clock(process: ChildProcess, duration: float) -> float:
         The real-time factor from the first to the last time that was heard; 0 if there were no two.
     """
     # From the first time that is heard: before it, the nodes wait for those who listen.
-    heard: list[tuple[float, float]] = []  # simulated, of the clock: the first and the last
-    with client_node("rx90_demo", _SERVICE_TIMEOUT, lambda _: None) as client:
+    heard: list[tuple[float, float]] = []  # simulated, of the clock
+    with (
+        client_node("rx90_demo", _SERVICE_TIMEOUT, lambda _: None) as client,
+        tqdm(total=duration, bar_format=_BAR, desc="reference task", disable=None) as bar,
+    ):
         simulation = SimulationClient(client)
         simulation.pause(False)
-        bar = tqdm(
-            total=duration,
-            bar_format=_BAR,
-            desc="reference task",
-            mininterval=0.2,
-            miniters=0,
-            disable=None,
-        )
-        with bar:
-            factor = 0.0
-            while process.returncode is None:
-                client.spin()
-                if simulation.time > (heard[-1][0] if heard else 0.0):
-                    heard[1:] = [(simulation.time, time.monotonic())]
-                    (begin, first) = heard[0]
-                    (end, last) = heard[-1]
-                    factor = (end - begin) / (last - first) if last > first else 0.0
-                bar.set_postfix_str(f"{factor:.2f} x real time", refresh=False)
-                bar.update(min(simulation.time, duration) - bar.n)
-            if process.returncode == 0:
-                bar.update(duration - bar.n)
-    return factor
+        while process.returncode is None:
+            client.spin()
+            now = min(simulation.time, duration)
+            if now > bar.n:
+                heard.append((now, time.monotonic()))
+                bar.update(now - bar.n)
+    if len(heard) < 2:
+        return 0.0
+    simulated, elapsed = np.subtract(heard[-1], heard[0])
+    return float(simulated / elapsed)

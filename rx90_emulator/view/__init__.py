@@ -15,15 +15,3 @@ without an input; inputs are those of `ControlPanel`, made for one client after 
 
 page, scene, live and panel are of the page, tour of the arm that `rx90 view --demo` moves.
 """
-
-OPENED = "the page is open"
-"""What `rx90 view` prints when a browser has loaded the page for the first time."""
-
-TO_OTHERS = (
-    "other machines can open the page, too: they see the arm, and who has the code can move it; who listens on the "
-    "way can read the code"
-)
-"""What it prints before the address of a page that other machines reach."""
-
-CODE = "code to move the arm: "
-"""What stands before the code that unlocks the page."""

@@ -11,13 +11,13 @@ from collections.abc import Iterable
 import numpy as np
 
 from rx90_common.base.quoting import plain
-from rx90_common.description.kinematics import forward
+from rx90_common.description.kinematics import tip_position
 from rx90_common.description.robot import RobotModel
 from rx90_common.exchange.arm_watch import ArmWatch, JointSample, NodeStatus, Trajectory
 from rx90_common.exchange.client_node import ClientNode
 from rx90_common.exchange.topics import MAX_DISPLAY_RTF
 from rx90_controller.lines.task import TipTask
-from rx90_emulator.view.page import Page, block
+from rx90_emulator.view.page import Page
 from rx90_emulator.view.scene import ArmScene, LineScene, legend_html
 
 # s; the samples of a simulation come again four times a second while time stands still
@@ -61,14 +61,12 @@ class LiveView:
         self._followed: Trajectory | None = None
         self.state: JointSample | None = None
         self.arm = ArmScene(page, "/arm", robot)
-        self.trace = None if line is None else LineScene(page, "/reference", robot, line)
+        self.trace = None if line is None else LineScene(page, "/reference", line)
         page.look_at_arm(robot)
         with page.tab("Live"):
             self._status = page.gui.add_html("")
             if self.trace is not None:
                 page.gui.add_html(legend_html())
-            with page.gui.add_folder("Diagnostics", expand_by_default=False):
-                self._diagnostics = page.gui.add_html("")
         # A simulation that hurries needs the processors more than the eye needs smoothness.
         periods = {
             self._update: _POSE_PERIOD,
@@ -135,8 +133,8 @@ class LiveView:
         self.arm.show(self.state.position)
         if self.trace is not None:
             self._follow_trajectory(self.trace)
-            pose = forward(self._model.chain, np.array([state.position for state in states]))
-            self.trace.add(np.array([state.time for state in states]), *pose)
+            tips = tip_position(self._model.chain, np.array([state.position for state in states]))
+            self.trace.add(np.array([state.time for state in states]), tips)
 
     def _follow_trajectory(self, trace: LineScene) -> None:
         """Hand a trajectory on that the line does not know yet."""
@@ -147,7 +145,7 @@ class LiveView:
         if trajectory is None:
             trace.follow(np.empty(0), np.empty((0, 3)), np.empty(0, dtype=np.bool_))
         else:
-            tips = forward(self._model.chain, trajectory.position).position
+            tips = tip_position(self._model.chain, trajectory.position)
             trace.follow(trajectory.times, tips, trajectory.at_rest)
 
     def _draw(self, _now: float) -> None:
@@ -184,13 +182,6 @@ class LiveView:
                 ("path error", "no line" if self.trace is None else self.trace.words()),
             ]
         self._status.content = _table(rows)
-        parts = []
-        for name, status in sorted(watch.diagnostics.items()):
-            values = _table(
-                (html.escape(key), html.escape(value)) for key, value in status.values.items()
-            )
-            parts.append(block(f"<b>{html.escape(name)}</b>: {_word(status)}{values}"))
-        self._diagnostics.content = "".join(parts) or _table([("", "nothing on /diagnostics yet")])
 
 
 _COLORS = ("#2b8a3e", "#e67700", "#c92a2a", "#868e96")  # good, warning, error, stale

@@ -23,16 +23,18 @@ import viser
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 from rx90_common.description.robot import RobotModel
-from rx90_emulator.view import OPENED, TO_OTHERS
 
+TO_OTHERS = (
+    "other machines can open the page, too: they see the arm, and who has the code can move it; who listens on the "
+    "way can read the code"
+)
+"""What is said of a page that other machines reach."""
 _LONGEST_WAIT = 0.05  # s, without a look for Ctrl-C
 _BUSY_FACTOR = 3  # how much longer periods are while a part is busy
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 _EYE = np.array([1.35, -1.15, 0.6])  # from the arm's centre, in lengths of the arm
 _CENTER = np.array([0.25, 0.0, 0.4])
 _FIELD_OF_VIEW = 0.75  # rad, upright
-_MIN_ASPECT = 0.9  # width over height below which the arm is seen from farther away
-_NARROW_DROP = 0.2  # by how much of its distance a narrow page looks below the arm
 _PANEL_WIDTH = 310  # pixels
 
 
@@ -99,26 +101,13 @@ class Page:
         self.scene.configure_environment_map("studio", environment_intensity=0.35)
 
     def look_at_arm(self, robot: RobotModel) -> None:
-        """Place the camera of pages that are opened from now on, so that the whole arm is seen.
-
-        On a narrow page the panel lies over the lower half: the arm is in the upper one.
-        """
+        """Place the camera of pages that are opened from now on, so that the whole arm is seen."""
         reach = float(np.linalg.norm(robot.chain.origin, axis=1).sum())
         camera = self.server.initial_camera
         center = _CENTER * reach
         camera.position = center + _EYE * reach
         camera.look_at = center
         camera.fov = _FIELD_OF_VIEW
-
-        def step_back(client: viser.ClientHandle) -> None:
-            if client.camera.aspect < _MIN_ASPECT:
-                away = _MIN_ASPECT / client.camera.aspect * _EYE * reach
-                below = center - [0.0, 0.0, _NARROW_DROP * float(np.linalg.norm(away))]
-                with client.atomic():
-                    client.camera.position = below + away
-                    client.camera.look_at = below
-
-        self.server.on_client_connect(step_back)
 
     def every(
         self,
@@ -137,11 +126,7 @@ class Page:
         self._handed_over.put(function)
 
     def announce(self, *, browser: bool) -> None:
-        """Print the address, and open it in a browser if there is a screen; say when it is open."""
-        unopened = threading.Lock()
-        self.server.on_client_connect(
-            lambda _: print(OPENED, flush=True) if unopened.acquire(blocking=False) else None
-        )
+        """Print the address, and open it in a browser if there is a screen."""
         if self._open_to_others:
             print(TO_OTHERS, flush=True)
         print(f"page: {self.address} (Ctrl-C ends it)", flush=True)

@@ -32,7 +32,6 @@ from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.page import Page, block
-from rx90_emulator.view.scene import LineScene
 
 TRIES = 5
 """Wrong codes of all clients together after which none is taken any more."""
@@ -44,7 +43,6 @@ _WRONG = "color:#c92a2a"
 _PERIOD = 0.1  # s
 _LINES = 6
 _PAGE = "rx90_view"  # who refuses what the page does not even send, or gets no answer to
-_MAGNIFICATIONS = ("1", "10", "100")  # the first is what is drawn at first
 
 
 class Lock:
@@ -70,14 +68,13 @@ class Lock:
 
 
 class ControlPanel:
-    """The tab "Move": a line or path, stop, torque, a slider for each joint, and how the trace is drawn.
+    """The tab "Move": a line or path, stop, torque, and a slider for each joint.
 
     Args:
         page: to build in.
         client: the node that asks the others; its timeout is the longest wait for an answer.
         setup: of the robot that the nodes have.
         plan: of the line or path that the page shows, if there is one.
-        trace: what is drawn of it.
         arm: returns the newest state of the arm; None before the first one, or when it comes no more.
         controller: name of the controller node, relative or absolute.
 
@@ -91,7 +88,6 @@ class ControlPanel:
         client: ClientNode,
         setup: Setup,
         plan: LinePlan | None,
-        trace: LineScene | None,
         arm: Callable[[], JointSample | None],
         controller: str,
     ) -> None:
@@ -99,7 +95,6 @@ class ControlPanel:
         self._page = page
         self._client = client
         self._plan = plan
-        self._trace = trace
         self._arm = arm
         self._controller = controller
         self._set_point_period = setup.rates.position_period
@@ -178,14 +173,6 @@ class ControlPanel:
                     self._from_user(partial(self._drag, joint), partial(_within, low, high))
                 )
                 sliders.append(slider)
-            trace = self._trace
-            if trace is not None:
-                drawn = gui.add_dropdown("error drawn \u00d7", _MAGNIFICATIONS)
-                magnify = self._from_user(
-                    lambda factor: trace.magnify(float(factor)), _MAGNIFICATIONS.__contains__
-                )
-                drawn.on_update(magnify)
-                gui.add_button("Clear the trace").on_click(self._from_user(lambda _: trace.clear()))
         self._sliders[client.client_id] = sliders
 
     def _from_user(

@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 from viser import transforms
 
 from rx90_common.base.arrays import Array
-from rx90_common.description.kinematics import Pose
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.rotations import length
 from rx90_common.description.shapes import VisualShape, drawn_shapes
 from rx90_controller.lines.task import SETTLING, TipTask
-from rx90_emulator.loop.line import PathAccuracy, turned_by
 from rx90_emulator.view.page import Page
 
 
@@ -132,12 +130,8 @@ def legend_html() -> str:
 _END_TOLERANCE = 1e-4  # m; a motion that begins and ends so near the line's ends, and keeps so near, is one along it
 # of its length; between the points of its trajectory it is longer than the straight way
 _CHORD_TOLERANCE = 0.05
-_DURATION_TOLERANCE = 5e-3  # s that a motion may take longer than the line's own: the same speeds
 _PATH_STEP = 5e-3  # m between points of a path that is drawn
-_MAX_SAMPLES = 4000  # of a run; of a longer one the larger of each two is kept
 _KEPT_BEFORE = 100  # samples from before it is known that they are of a run
-
-
 _TRACE_SAMPLES = 600  # samples in the trace
 _TRACE_STEP = 5e-4  # m between two of them
 _NO_SPAN = np.inf, -np.inf  # s, when no sample counts
@@ -149,16 +143,15 @@ class LineScene:
     Args:
         page: to draw in.
         name: of its nodes in the scene.
-        robot: the arm.
         task: the line or path.
 
     Attributes:
-        run: path error of the newest run along the line, as far as it has come; None before the first one.
+        largest: path error of the newest run along the line, as far as it has come, and its distance from the line's
+            start, m; None before the first run.
     """
 
-    def __init__(self, page: Page, name: str, robot: RobotModel, task: TipTask) -> None:
+    def __init__(self, page: Page, name: str, task: TipTask) -> None:
         ends = np.zeros((1, 2, 3), dtype=np.float32)
-        self._robot = robot
         line = page.add_lines(f"{name}/line", ends, (30, 30, 30), thickness=2.0)
         self._spot = page.scene.add_icosphere(
             f"{name}/spot", 0.007, _SPOT, subdivisions=2, cast_shadow=False
@@ -166,28 +159,23 @@ class LineScene:
         # A colour for each end: a page that has seen one for all draws no others until it is loaded again.
         grey = np.full((1, 2, 3), 150, dtype=np.uint8)
         self._trace = page.add_lines(f"{name}/trace", ends, grey, thickness=5.0, visible=False)
-        self._factor = 1.0
-        # Of the trace, with their path errors and their places on the line.
-        self._points: deque[tuple[Array, float, float]] = deque(maxlen=_TRACE_SAMPLES)
+        self._points: deque[tuple[Array, float]] = deque(maxlen=_TRACE_SAMPLES)
+        self._recent: deque[tuple[float, Array]] = deque(maxlen=_KEPT_BEFORE)
         self._task = task
         connect(line, task.poses(task.places(_PATH_STEP, 1)).position)
-        self.run: PathAccuracy | None = None
-        self._now = np.nan  # path error, m
+        self.largest: tuple[float, float] | None = None
+        self._error = np.nan  # of the newest sample, m
         self.begin_again()
 
     def begin_again(self) -> None:
         """Forget the trace and all times, because simulated time has begun again. The newest run stays."""
         self._span = _NO_SPAN
+        self._begun = False
         self._asked = np.zeros((2, 1))
-        self._begin = np.nan
-        # time, distance along the line, path error, orientation error
-        self._rows = np.empty((0, 4))
-        self.clear()
-
-    def clear(self) -> None:
-        """Forget the trace."""
+        self._recent.clear()
         self._points.clear()
-        self._changed = self._trace.visible = False
+        self._trace.visible = False
+        self._changed = False
 
     def follow(self, times: Array, tips: Array, at_rest: NDArray[np.bool_]) -> None:
         """Take the trajectory that was accepted last.
@@ -198,7 +186,7 @@ class LineScene:
             at_rest: whether the arm rests at each of them, shape (n,).
         """
         self._span = _NO_SPAN
-        self._rows = self._rows[-_KEPT_BEFORE:]
+        self._begun = False
         ends = self._task.poses(np.array([0.0, self._task.length])).position
         whole = self._task.length
         way = np.concatenate(
@@ -217,79 +205,56 @@ class LineScene:
             error = self._task.error(tips[first : last + 1], asked)
             if error.perpendicular.max() < _END_TOLERANCE:
                 self._asked = np.stack([times[first : last + 1], error.along])
-                self._span = (
-                    float(times[first]),
-                    float(times[last] + min(SETTLING, times[-1] - times[last])),
-                )
-                # The points at rest lie half a set-point before the motion and behind it.
-                longer = float(times[last] - times[first]) - self._task.profile().duration
-                self._begin = (
-                    float(times[first]) + 0.5 * longer
-                    if 0.0 <= longer < _DURATION_TOLERANCE
-                    else np.nan
-                )
+                end = times[last] + min(SETTLING, times[-1] - times[last])
+                self._span = float(times[first]), float(end)
+        if self._recent:
+            recent_times, recent_tips = zip(*self._recent, strict=True)
+            self._measure(np.array(recent_times), np.array(recent_tips))
 
-    def add(self, times: Array, tips: Array, rotation: Array | None = None) -> Array:
+    def add(self, times: Array, tips: Array) -> Array:
         """Add positions of the spot; return its path errors, m, NaN where it is on no run along the line.
 
         Args:
             times: s, shape (n,).
             tips: m, shape (n, 3).
-            rotation: of the tool, shape (n, 3, 3); None counts as no orientation error.
         """
-        tips = np.asarray(tips, dtype=np.float64)
         self._spot.position = tips[-1]
-        error = self._task.error(tips, np.interp(times, *self._asked))
-        here = self._task.poses(np.clip(error.along, 0.0, self._task.length))
-        turned = turned_by(self._robot, here if rotation is None else Pose(tips, rotation), here)
-        rows = np.stack([times, error.along, error.perpendicular, turned], axis=1)
-        self._rows = np.concatenate([self._rows, rows])
-        if len(self._rows) > _MAX_SAMPLES:
-            pairs = self._rows[: len(self._rows) // 2 * 2].reshape(-1, 2, 4)
-            self._rows = pairs[np.arange(len(pairs)), np.argmax(pairs[:, :, 2], axis=1)]
-        counted = (times >= self._span[0]) & (times <= self._span[1])
-        if counted.any():
-            at = self._rows[:, 0]
-            when, along, across, angle = self._rows[(at >= self._span[0]) & (at <= self._span[1])].T
-            ahead = along - self._task.profile().sample(when - self._begin).distance
-            self.run = PathAccuracy(when, along, across, ahead, angle)
-        else:
-            self._rows = self._rows[-_KEPT_BEFORE:]
-        errors = np.where(counted, error.perpendicular, np.nan)
-        for tip, one, along in zip(tips, errors.tolist(), error.along.tolist(), strict=True):
+        self._recent.extend(zip(times.tolist(), tips, strict=True))
+        errors = self._measure(times, tips)
+        for tip, error in zip(tips, errors.tolist(), strict=True):
             if not self._points or float(np.linalg.norm(tip - self._points[-1][0])) >= _TRACE_STEP:
-                self._points.append((tip, one, along))
+                self._points.append((tip, error))
                 self._changed = True
-        self._now = float(errors[-1])
+        self._error = float(errors[-1])
         return errors
+
+    def _measure(self, times: Array, tips: Array) -> Array:
+        """Return path errors, m, NaN off the run along the line, and keep the largest."""
+        error = self._task.error(tips, np.interp(times, *self._asked))
+        counts = (times >= self._span[0]) & (times <= self._span[1])
+        if counts.any():
+            if not self._begun or self.largest is None:
+                self.largest = 0.0, 0.0
+                self._begun = True
+            row = np.argmax(np.where(counts, error.perpendicular, -1.0))
+            found = float(error.perpendicular[row]), float(error.along[row])
+            self.largest = max(self.largest, found)
+        return np.where(counts, error.perpendicular, np.nan)
 
     def words(self) -> str:
         """Return the path error in words: now, and the largest of the newest run, with its place."""
-        known = bool(np.isfinite(self._now))
-        words = f"{self._now * 1e3:.3f} mm now" if known else "not on the line"
-        if self.run is None:
+        known = bool(np.isfinite(self._error))
+        words = f"{self._error * 1e3:.3f} mm now" if known else "not on the line"
+        if self.largest is None:
             return words
-        at = float(self.run.along[np.argmax(self.run.perpendicular)])
-        words += (
-            f"; {'largest of this run' if known else 'last run'} {self.run.worst * 1e3:.3f} mm, "
-        )
-        words += f"{at * 1e3:.0f} mm from the start{self.run.beyond_start(3)}"
-        if not np.isnan(self.run.worst_along_track):
-            words += f"; along it {self.run.worst_along_track * 1e3:.3f} mm"
-        return f"{words}; tool {self.run.worst_orientation * 1e3:.3f} mrad"
-
-    def magnify(self, factor: float) -> None:
-        """Draw the trace, but not the spot, this many times as far from the line as it is."""
-        self._factor = factor
-        self._changed = True
+        run = "largest of this run" if known else "last run"
+        error, place = self.largest
+        return f"{words}; {run} {error * 1e3:.3f} mm, {place * 1e3:.0f} mm from the start"
 
     def draw(self) -> None:
         """Draw the trace, if it has changed; less often than `add`, because all of it is sent."""
-        if not self._changed or len(self._points) < 2:
-            return
-        self._changed = False
-        tips, error, along = (np.array(each) for each in zip(*self._points, strict=True))
-        colors = line_colors(error)
-        magnified = tips + (self._factor - 1.0) * (tips - self._task.poses(along).position)
-        connect(self._trace, np.where(np.isnan(error)[:, None], tips, magnified), colors)
-        self._trace.visible = True
+        if self._changed and len(self._points) > 1:
+            self._changed = False
+            tips, errors = zip(*self._points, strict=True)
+            connect(self._trace, np.array(tips), line_colors(np.array(errors)))
+            self._trace.visible = True

@@ -1,22 +1,14 @@
-"""Other programs at a simulation node: a client of its services and time, and a controller that answers its states."""
+"""A client of a simulation node's services and time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike
-from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange.client_node import ClientNode, spoken
-from rx90_common.exchange.topics import JOINT_COMMANDS, MEASURED_JOINT_STATES
 
 _NAME = "rx90_sim"
 
@@ -51,60 +43,3 @@ class SimulationClient:
     def _ask(self, kind: Any, name: str, request: Any) -> None:
         service = f"{_NAME}/{name}"
         spoken(service)(self._client.call(kind, service, request))
-
-
-_DEPTH = 10
-
-
-class EffortController:
-    """Answers each message on `measured_joint_states` with one on `joint_commands` that bears the same stamp.
-
-    Plain rclpy, as a controller for a real arm would be written.
-
-    Args:
-        node: owner of publisher and subscription.
-        controller: takes measured joint positions rad, velocities rad/s, both of shape (n,), and time s; returns
-            efforts at the joints, Nm, shape (n,), or None for no torque and closed brakes.
-        names: of the joints, in the order in which the controller has them.
-
-    Attributes:
-        time: of the newest states, s; None before the first.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        controller: Callable[[Array, Array, float], ArrayLike | None],
-        names: tuple[str, ...],
-    ):
-        self._controller = controller
-        self._names = names
-        self._received: list[str] = []
-        self._order = np.arange(len(names))
-        self.time: float | None = None
-        self._commands = node.create_publisher(JointState, JOINT_COMMANDS, _DEPTH)
-        self._states = node.create_subscription(
-            JointState, MEASURED_JOINT_STATES, self._answer, _DEPTH
-        )
-
-    def _find_order(self, received: list[str]) -> None:
-        if sorted(received) != sorted(self._names):
-            raise ExchangeError(
-                f"{self._states.topic_name} has {', '.join(received)}; accepted: {', '.join(self._names)}"
-            )
-        self._received = list(received)
-        self._order = np.array([received.index(name) for name in self._names])
-
-    def _answer(self, states: Any) -> None:
-        if states.name != self._received:  # the order is found once: this runs in each tick
-            self._find_order(states.name)
-        stamp = states.header.stamp
-        self.time = stamp.sec + stamp.nanosec * 1e-9
-        position = np.array(states.position)[self._order]
-        velocity = np.array(states.velocity)[self._order]
-        effort = self._controller(position, velocity, self.time)
-        command = JointState(name=self._names)
-        command.header.stamp = stamp
-        if effort is not None:
-            command.effort = np.asarray(effort, dtype=np.float64).tolist()
-        self._commands.publish(command)

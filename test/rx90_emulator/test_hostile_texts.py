@@ -58,7 +58,7 @@ def _plotted(arm: Arm, page: Path) -> None:
 def _demonstrated(arm: Arm, page: Path) -> None:
     folder, setup, bag = arm
     report = RunReport(bag, setup, load_task(folder / "task.yaml"), 0.0)
-    report.write(page, bag, compare_bags(bag, bag), pace=0.0, reached=1.0, composed=False)
+    page.write_text(report.page(bag, compare_bags(bag, bag), 1.0, "real time"), encoding="utf-8")
 
 
 def _measured(arm: Arm, page: Path) -> None:

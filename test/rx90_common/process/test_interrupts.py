@@ -85,7 +85,6 @@ _BUSY = """
 import hashlib, os, subprocess, sys, threading, time
 from rx90_common.process.children import ChildProcess, kill_all
 from rx90_common.process.interrupts import ends_within
-from rx90_common.process.threads import where_threads_are
 def last():
     kill_all()
     print("gave up", flush=True)
@@ -95,8 +94,8 @@ stands_still = []
 def stuck():
     while not stands_still:  # on a busy machine the main thread may be on its way there
         time.sleep(0.01)
-    print([line.split(" > ")[-1] for line in where_threads_are()], flush=True)
-    kill_all()  # only now: with the child its reader ends, which is one of the threads
+    kill_all()
+    print("cut off", flush=True)
 def wait_for_ever(lock):
     stands_still.append(True)
     lock.acquire()
@@ -125,7 +124,7 @@ with ends_within(0.1, 0.1 if "stuck" in sys.argv else 60.0, last, stuck) as star
     [
         ([], 130, r"gave up\n"),
         (["over"], -signal.SIGINT, ""),
-        (["over", "stuck"], 3, r"\['<string>:\d+ wait_for_ever', .*\]\n"),
+        (["over", "stuck"], 3, r"cut off\n"),
     ],
 )
 def test_it_ends_however_busy_it_is(words: list[str], code: int, said: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import re
 import shutil
@@ -21,7 +20,6 @@ from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import EXECUTABLES, VERBS, run
 from rx90_emulator.configuration.check import kind_of
-from rx90_emulator.configuration.origins import setup_values
 
 Captured = pytest.CaptureFixture[str]
 Show = Callable[..., dict[str, dict[str, object]]]
@@ -226,17 +224,18 @@ def test_every_value_is_shown_with_the_line_that_it_comes_from(show: Show, file:
 
 
 def test_units_defaults_and_the_choice_of_files_are_shown(show: Show) -> None:
-    """What no file has is a default of the code; the rig's file is that of an option, or shipped."""
+    """What no file has is a default of the code; files are those of the robot, or of options."""
     usual = show("--robot", "tx40")
     assert usual["friction.elements.joint_1.alpha"]["origin"] == "default of the code"
     assert usual["drives.motor.peak_current"]["unit"] == "A"
     assert usual["file.tool"]["value"] == "none"
-    assert (usual["file.rig"]["value"], usual["file.rig"]["origin"]) == ("rig/gm8224.yaml", "default of the code")
+    identified = show("--robot", "panda")
+    said = [identified[f"friction.elements.panda_joint1.{name}"]["provenance"] for name in ("c2", "tau_s")]
+    assert said == ["identified", "assumed"]  # in one block, of which the file's block `identification` knows more
+    assert usual["file.rig"]["value"] == "rig/gm8224.yaml"
     assert usual["rig.emulation.joint_friction.model"]["value"] == "coulomb_viscous"
     other = show("--robot", "tx40", "--rig", "rig/gm8224_lugre.yaml")
-    assert other["file.rig"]["origin"] == "command line"
     assert other["rig.emulation.joint_friction.model"]["value"] == "lugre"
-    assert other["file.drives"]["origin"] == "robot tx40"
 
 
 OFFERED = {
@@ -300,19 +299,6 @@ $(complete -p {name} | sed 's/.*-F \\([^ ]*\\) .*/\\1/') {name}; printf '%s\\n' 
         if shell == "bash":
             assert "my_task.yaml" not in offered or "my_task.yaml" in asked[words], words
             assert all(each.startswith(words.rpartition(" ")[2]) for each in offered), words
-
-
-def test_show_names_the_files_of_the_controller_s_model(
-    shipped_files: RobotFiles, edited_yaml: Callable[..., Path]
-) -> None:
-    """Those that the controller file names with their lines, the others beside it; none that is not there."""
-    shown = {one.name: one for one in setup_values(shipped_files, {})}
-    friction = shown["controller.model.friction"]
-    assert (friction.value, friction.origin) == ("robots/rx90b/friction.yaml", "beside robots/rx90b/controller.yaml")
-    shared = {role: shipped_files.text(role) for role in ("urdf", "drives", "friction")}
-    named = dataclasses.replace(shipped_files, controller=edited_yaml(shipped_files.controller, ("model",), shared))
-    of_model = {one.name: one.value for one in setup_values(named, {}) if one.name.startswith("controller.model.")}
-    assert of_model == {f"controller.model.{role}": name for role, name in {**shared, "tool": "none"}.items()}
 
 
 _SLOW = {f"scipy.{part}" for part in ("signal", "interpolate", "optimize", "stats", "sparse")}

@@ -107,7 +107,6 @@ WRITTEN = {
         "rx90 check",
         "rx90 correct engine nowhere",
         "rx90 demo",
-        "rx90 example engine --robot nowhere",
         "rx90 experiment sliding engine --robot nowhere",
         "rx90 export urdf --robot nowhere",
         "rx90 identify sliding nowhere",

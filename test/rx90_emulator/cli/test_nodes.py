@@ -135,7 +135,6 @@ CALLS = {
     "rx90 export": (["mujoco-classic", "--output", "out"], "scipy"),
     "rx90 identify": (["sliding", "bag", "--output", "out.yaml"], "yaml"),
     "rx90 line": ([], "yaml"),
-    "rx90 example": (["engine"], "pinocchio"),
     "rx90 monitor": (["engine"], "lark"),
     "rx90 path": (["paths/circle.yaml"], "numba"),
     "rx90 program": (["engine", "a.v2"], "lark"),

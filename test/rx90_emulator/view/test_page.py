@@ -52,43 +52,39 @@ def test_arms_are_drawn_where_pinocchio_says(shipped: Setup, tx40: Setup, page: 
     assert (shown.complaints, shown.foreign_requests) == ([], [])
 
 
-def test_the_trace_is_drawn_beside_the_line(shipped: Setup, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Magnified, the trace is so many times as far from the line as it was, blue to red; off it grey, in place."""
+def test_the_trace_has_the_colours_of_the_path_error(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is where the tip was, blue to red by the path error; off the line grey."""
     made: dict[str, Any] = {}
     add = page.add_lines
     monkeypatch.setattr(page, "add_lines", lambda name, *a, **k: made.setdefault(name, add(name, *a, **k)))
     start, end = np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2])
-    line = LineScene(page, "/line", shipped.robot, LineTask(tuple(start), tuple(end)))
+    line = LineScene(page, "/line", LineTask(tuple(start), tuple(end)))
     tips = np.array([[0.5, 0.02, 0.2], [0.5, 0.0, 0.2], [0.6, 0.0, 0.2], [0.7, 1e-4, 0.2], [0.8, 0.0, 0.2]])
     line.follow(np.array([1.5, 9.0]), np.stack([start, end]), np.array([True, True]))
     line.add(np.arange(5.0), tips)
-    line.magnify(100.0)
     line.draw()
     np.testing.assert_allclose(made["/line/line"].points[[0, -1], [0, 1]], [start, end], rtol=1e-6)
     trace = made["/line/trace"]
     drawn = np.concatenate([trace.points[:, 0], trace.points[-1:, 1]])
-    np.testing.assert_allclose(drawn, [*tips[:3], [0.7, 1e-2, 0.2], tips[4]], atol=1e-6)
+    np.testing.assert_allclose(drawn, tips, atol=1e-6)
     colors = np.concatenate([trace.colors[:, 0], trace.colors[-1:, 1]]).astype(int)
     assert len(set(colors[0])) == 1  # grey
     assert colors[2][2] > colors[2][0]  # blue
     assert colors[3][0] > colors[3][2]  # red
 
 
-def test_a_trace_has_its_colours_on_a_page_that_was_there_before_it(
-    shipped: Setup, page: Page, open_page: Open
-) -> None:
+def test_a_trace_has_its_colours_on_a_page_that_was_there_before_it(page: Page, open_page: Open) -> None:
     """On a page that is opened before the arm moves, the trace is drawn in the colour of its path error."""
     start, end = np.array([-0.4, 0.0, 0.0]), np.array([0.4, 0.0, 0.0])
     camera = page.server.initial_camera
     camera.position, camera.look_at, camera.up = (0.0, -0.5, 0.5), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-    line = LineScene(page, "/line", shipped.robot, LineTask(tuple(start), tuple(end)))
+    line = LineScene(page, "/line", LineTask(tuple(start), tuple(end)))
     shown = open_page(page.address, (900, 200), pictures="every")
     times = np.arange(100) * 0.1
 
     def run() -> None:
         line.follow(times[[0, -1]], np.stack([start, end]), np.array([True, True]))
         line.add(times, start + times[:, None] / times[-1] * (end - start) + [0.0, 1e-3, 0.0])
-        line.magnify(20.0)
         line.draw()
 
     page.later(run)

@@ -94,7 +94,7 @@ def test_who_has_the_code_moves_the_arm_and_nobody_else(
         states: list[JointSample] = []
         page.every(0.05, lambda _: states.extend(watch.joints()))
         newest = lambda: states[-1] if states else None  # noqa: E731
-        panel = ControlPanel(page, client, shipped, plan, None, newest, "/rx90_controller")
+        panel = ControlPanel(page, client, shipped, plan, newest, "/rx90_controller")
         with served(page):
             first = open_page(page.address, SIZE)
             first.wait_until(lambda: bool(states), "states of the arm")
@@ -114,7 +114,7 @@ def test_who_has_the_code_moves_the_arm_and_nobody_else(
             first.button("Send the line").click()
             first.wait_until(lambda: _near(shipped, states[-1].position, END), "the end of the line")
             first.button("Torque off").click()
-            first.wait_until(lambda: "torque off, brakes closed" in first.text().split("Clear")[-1], "the answer")
+            first.wait_until(lambda: "torque off, brakes closed" in first.text().split("deg")[-1], "the answer")
             third = open_page(page.address, SIZE)
             third.wait_until(lambda: "no further page is unlocked" in third.text(), "that it is locked")
             assert not third.button("Unlock").is_visible()
@@ -177,9 +177,7 @@ class Bench:
         monkeypatch.setattr(panel_module, "subscribe_log", lambda _, __, hear: setattr(self, "hear", hear))
         self.page = Page("test", port=0)
         client: Any = SimpleNamespace(spin=lambda _: None)
-        self.magnified: list[float] = []
-        trace: Any = SimpleNamespace(magnify=self.magnified.append)
-        self.panel = ControlPanel(self.page, client, setup, plan, trace, lambda: self.arm, "rx90_controller")
+        self.panel = ControlPanel(self.page, client, setup, plan, lambda: self.arm, "rx90_controller")
 
     def stranger(self) -> tuple[Stranger, Any]:
         """Return a client that has come, and its form."""
@@ -198,7 +196,7 @@ def bench(shipped: Setup, plan: LinePlan, monkeypatch: pytest.MonkeyPatch) -> It
 
 
 def test_what_no_input_offers_does_nothing(bench: Bench) -> None:
-    """Of an unlocked client, too: no number, none of the slider's or the list's; viser's tunnel is made for nobody."""
+    """Of an unlocked client, too: no number, none of the slider's; viser's tunnel is made for nobody."""
     known, form = bench.stranger()
     known.give(form, bench.panel.lock.code)
     wait_until(lambda: bool(bench.panel._sliders), "its inputs")
@@ -207,13 +205,7 @@ def test_what_no_input_offers_does_nothing(bench: Bench) -> None:
     for value in (float("nan"), float("inf"), 1e9, -1e9, "x", [1.0], None):
         known.change(slider, value)
     known.change(slider, 12.3)
-    (client,) = bench.page.server.get_clients().values()
-    inputs = client.gui._gui_input_handle_from_uuid.values()
-    (drawn,) = [field for field in inputs if "error drawn" in str(getattr(field, "label", ""))]
-    for factor in ("10", "7", "nan", 10.0, [1.0], None, "100"):
-        known.change(drawn, factor)
-    wait_until(lambda: bool(bench.offered) and bench.magnified[-1:] == [100.0], "the values that can be")
-    assert bench.magnified == [10.0, 100.0]
+    wait_until(lambda: bool(bench.offered), "the value that can be")
     (points,) = bench.offered
     assert points is not None
     assert np.degrees(points.position[-1][0]) == pytest.approx(12.3)
@@ -256,9 +248,8 @@ def test_texts_of_files_and_nodes_are_texts_on_the_page(
         shown.wait_until(lambda: f"{TEXTS[0]} {TEXTS[0]}" in shown.text(), "the lines")
         check_harmless(shown, *(f"{text} {text}" for text in TEXTS), *(f"{text}, deg" for text in TEXTS))
         shown.page.get_by_role("tab", name="Live").click()
-        shown.page.get_by_text("Diagnostics").click()
-        shown.wait_until(lambda: f"{TEXTS[5]}: {TEXTS[5]}" in shown.text(), "what nodes say")
-        check_harmless(shown, f"The simulation's robot is {TEXTS[5]}", *(f"{text}: {text}" for text in TEXTS))
+        shown.wait_until(lambda: TEXTS[5] in shown.text(), "what nodes say")
+        check_harmless(shown, f"The simulation's robot is {TEXTS[5]}")
         assert (shown.complaints, shown.foreign_requests) == ([], [])
 
 
