@@ -210,9 +210,9 @@ class Drawing(FileModel):
             return [(tuple(dxf.start), Segment((tuple(dxf.end),)))] if dxf.start != dxf.end else []
         if kind in ("ARC", "CIRCLE"):
             angles = (dxf.start_angle, dxf.end_angle) if kind == "ARC" else (0.0, 0.0)
-            first, last = (tuple(end) for end in entity.vertices(angles))
+            first, last = entity.vertices(angles)
             center = tuple(entity.ocs().to_wcs(dxf.center))
-            return [(first, Segment((last,), "arc", center, tuple(dxf.extrusion)))]
+            return [(tuple(first), Segment((tuple(last),), "arc", center, tuple(dxf.extrusion)))]
         if kind in ("LWPOLYLINE", "POLYLINE"):
             return [part for each in entity.virtual_entities() for part in self._entity(each, unit)]
         if kind == "SPLINE":
