@@ -25,7 +25,6 @@ def data_files() -> list[tuple[str, list[str]]]:
 
 
 VIEW = ["viser>=1.1,<1.2"]
-EXPORT = ["mujoco>=3.17,<4.1"]
 DXF = ["ezdxf>=1.4,<2"]
 DOCS = [
     "sphinx>=8.1,<9.1",
@@ -80,13 +79,12 @@ setup(
         "sweep": ["distributed>=2026.1,<2027"],
         "docs": DOCS,
         "view": VIEW,
-        "export": EXPORT,
         "dxf": DXF,
         "test": TEST,
         "dev": [
             *TEST,
             *VIEW,
-            *EXPORT,
+            "mujoco>=3.17,<4.1",
             *DXF,
             "playwright>=1.50,<2",
             "distributed>=2026.1,<2027",

@@ -1,6 +1,6 @@
-"""One element's friction as each simulator gets it: differences, and the curves.
+"""One element's friction as each simulator gets it: differences.
 
-    python -m benchmarks.exported_friction [--friction FILE] [--element joint_1] [--plot docs/images/export.png]
+    python -m benchmarks.exported_friction [--friction FILE] [--element joint_1]
 
 The element, by default of the RX90B, is given two signs and a viscous exponent, which most simulators cannot hold.
 """
@@ -10,18 +10,17 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from benchmarks.report import PLOT, arguments, print_table
+from benchmarks.report import arguments, print_table
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.export.export import Export, export_robot
-from rx90_emulator.export.plots import draw_fits
 from rx90_emulator.export.targets import TARGETS
 from rx90_emulator.loop.setup import load_setup
 
 SPEEDS = (1e-3, 1.0)
 """In use, rad/s."""
 SIGNS_APART, EXPONENT = 0.9, 0.8
-"""Of the element in the picture: tau_c and tau_s of negative over those of positive velocity, viscous exponent."""
+"""Of the element: tau_c and tau_s of negative over those of positive velocity, viscous exponent."""
 
 
 def exports(friction: FrictionFile, name: str) -> list[Export]:
@@ -47,12 +46,12 @@ def exports(friction: FrictionFile, name: str) -> list[Export]:
 
 
 def main() -> None:
-    """Print the differences; draw the curves where asked for."""
+    """Print the differences."""
     options = arguments(
-        __doc__, ("--friction", None, "friction file"), ("--element", "joint_1", "element"), PLOT
+        __doc__, ("--friction", None, "friction file"), ("--element", "joint_1", "element")
     )
     friction = FrictionFile.read(options.friction or RobotFiles.named(DEFAULT_ROBOT).friction)
-    rows, fits = [], {}
+    rows = []
     for export in exports(friction, options.element):
         (fit,) = [fit for fit in export.fits if fit.name == options.element]
         away = "/".join(f"{torque:.3g}" for torque in dict.fromkeys(fit.break_away[1]))
@@ -65,10 +64,7 @@ def main() -> None:
                 f"{fit.stiffness[1]:.3g}",
             )
         )
-        fits[export.target.name] = fit
     print_table(("target", "largest Nm", "RMS Nm", "break-away Nm", "presliding Nm/rad"), rows)
-    if options.plot is not None:
-        draw_fits(fits, options.plot)
 
 
 if __name__ == "__main__":

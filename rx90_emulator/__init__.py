@@ -19,7 +19,7 @@ Runs            run_line, run_path, simulate, path_accuracy, RunResult; of set-p
                 warning of a run that means less than it seems to: Rx90Warning
 Corrections     learn_correction, load_correction, write_correction, NormOptimal, TrajectoryPath; from a record:
                 Learner, measured, learn_from_record
-Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save_arrays, JointSeries; compared:
+Series and bags read_bag, read_joint_states, write_bag, write_joint_states, JointSeries; compared:
                 compare_bags, compare_series, comparison_text, Scope, Tolerances, Verdict; of a real arm beside the
                 model: compare_measured, measured_summary, write_measured, MeasuredLayout
 Identification  plan_experiments, record_on_engine, identify_friction, identification_summary, write_identification,
@@ -129,7 +129,6 @@ if TYPE_CHECKING:
     from rx90_emulator.loop.path_file import load_path as load_path
     from rx90_emulator.loop.result import (
         RunResult as RunResult,
-        save_arrays as save_arrays,
         write_bag as write_bag,
     )
     from rx90_emulator.loop.setup import Setup as Setup, load_setup as load_setup

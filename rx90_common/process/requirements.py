@@ -14,7 +14,6 @@ _NAMED_ALIKE = (
     "ezdxf",
     "matplotlib",
     "mcap",
-    "mujoco",
     "numba",
     "numpy",
     "pyarrow",

@@ -46,7 +46,6 @@ def _add_engine(parser: argparse.ArgumentParser) -> None:
 def _add_nodes(parser: argparse.ArgumentParser) -> None:
     _add_learning(parser)
     _add_trials(parser)
-    _add_tip_topic(parser, "learn from the tip, which a sensor measures")
     add_node_arguments(parser)
     add_robot_arguments(parser)
 
@@ -63,8 +62,7 @@ def _add_recorded(parser: argparse.ArgumentParser) -> None:
         "--topic", default="joint_states", metavar="TOPIC", help="of the joints in it (%(default)s)"
     )
     parser.add_argument("--tip", type=Path, metavar="FILE", help="the tip, measured in that trial: time [s], x [m], "
-                        "y [m], z [m] in the base frame; or a bag")  # fmt: skip
-    _add_tip_topic(parser, "of the tip where it is in a bag")
+                        "y [m], z [m] in the base frame")  # fmt: skip
     add_robot_arguments(parser)
 
 
@@ -85,23 +83,8 @@ def _add_learning(parser: argparse.ArgumentParser) -> None:
         default=0.1,
         help="weight of a change, m/rad (%(default)s)",
     )
-    method.add_argument("--joints-weight", type=POSITIVE, metavar="W", default=0.005,
-                        help="weight of the joints' own errors, m/rad (%(default)s)")  # fmt: skip
-    _add_cutoff(method, "of a zero-phase filter, Hz (none)")
     method.add_argument("--noise", type=POSITIVE, metavar="M", default=1e-6,
                         help="by how much the path error may grow from trial to trial, m (%(default)s)")  # fmt: skip
-
-
-def _add_cutoff(parser: argparse._ActionsContainer, text: str) -> None:
-    parser.add_argument("--cutoff", type=POSITIVE, metavar="HZ", help=text)
-
-
-def _add_tip_topic(parser: argparse.ArgumentParser, text: str) -> None:
-    parser.add_argument(
-        "--tip-topic",
-        metavar="TOPIC",
-        help=f"{text}: PointStamped, PoseStamped or TransformStamped",
-    )
 
 
 def _add_trials(parser: argparse.ArgumentParser) -> None:
@@ -134,13 +117,13 @@ def _nodes(options: argparse.Namespace) -> int:
     """
     from rx90_emulator.correction.learning import NODES
 
-    learner, earlier = _learner(options, tip=options.tip_topic is not None)
+    learner, earlier = _learner(options, tip=False)
     from rx90_common.exchange.ros_start import prepare
 
     prepare()
     from rx90_emulator.correction.nodes import node_trials
 
-    with node_trials(learner, options.node, options.timeout, options.tip_topic) as play:
+    with node_trials(learner, options.node, options.timeout) as play:
         learned = _learned(options, learner, play, NODES)
     return _end(options, learned, earlier)
 
@@ -159,9 +142,7 @@ def _recorded(options: argparse.Namespace) -> int:
             "no --bag and no --tip; accepted: one of them, or both of the same trial"
         )
     learner, earlier = _learner(options, tip=options.tip is not None)
-    found, lines = measured(
-        learner.setup, learner.nominal, options.bag, options.tip, options.topic, options.tip_topic
-    )
+    found, lines = measured(learner.setup, learner.nominal, options.bag, options.tip, options.topic)
     print("\n".join(one_line(line) for line in lines))
     try:
         learned, why = learn_from_record(learner, found, earlier)
@@ -182,7 +163,7 @@ def _learner(options: argparse.Namespace, *, tip: bool) -> tuple[Learner, Correc
         check_replaced(file, force=options.force)
     setup = setup_of(options)
     path = _path(options.path, setup)
-    method = NormOptimal(options.effort, options.joints_weight, options.cutoff)
+    method = NormOptimal(options.effort)
     earlier = None if options.previous is None else load_correction(options.previous)
     previous = None if earlier is None else earlier.fitting(setup, path).offsets
     return Learner(setup, path, method, tip=tip, noise=options.noise, previous=previous), earlier
@@ -267,7 +248,8 @@ def _add_precompensate(precompensate: argparse.ArgumentParser) -> None:
     about = "trajectory to write: .yaml, or .csv for its set-points: s, joints in deg, tool in mm and deg"
     add_output(precompensate, place, about, metavar="FILE", required=True)
     add_force(precompensate)
-    _add_cutoff(precompensate, "of the filter that smooths the offsets (5)")
+    precompensate.add_argument("--cutoff", type=POSITIVE, metavar="HZ", default=5.0,
+                               help="of the filter that smooths the offsets (%(default)s)")  # fmt: skip
     add_robot_arguments(precompensate)
     precompensate.set_defaults(interrupted="nothing was written")
 
@@ -279,16 +261,12 @@ def _precompensate(options: argparse.Namespace) -> None:
     """
     check_replaced(options.output, force=options.force)
     from rx90_emulator.correction.file import load_correction
-    from rx90_emulator.correction.precompensation import (
-        CUTOFF,
-        corrected_trajectory,
-        travelled_error,
-    )
+    from rx90_emulator.correction.precompensation import corrected_trajectory, travelled_error
     from rx90_emulator.loop.trajectory_file import write_trajectory
 
     setup = setup_of(options)
     path = _path(options.path, setup)
-    cutoff = options.cutoff or CUTOFF
+    cutoff = options.cutoff
     found = load_correction(options.file)
     points = corrected_trajectory(setup, path, found.fitting(setup, path), cutoff)
     before = travelled_error(setup, path, path.points)

@@ -16,7 +16,6 @@ from rx90_emulator.cli.options import (
     add_robot_arguments,
     add_slow_only,
     add_start_time,
-    new_file,
     new_folder,
     whole_number,
 )
@@ -47,8 +46,6 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of a run: what is written, the controller's feed-forward, the seed, the robot."""
     parser.set_defaults(interrupted="only what is named above was written whole")
     add_output(parser, new_folder, "bag folder to write; must not exist", metavar="FOLDER")
-    parser.add_argument("--arrays", type=new_file, metavar="FILE",
-                        help="NumPy file to write (.npz), names with units; must not exist")  # fmt: skip
     add_slow_only(parser)
     parser.add_argument("--feed-forward", choices=("all", "position", "none"), default="all",
                         help="position: dq_r off, D from the measured velocity alone, as the paper draws it; none: FF "
@@ -161,7 +158,7 @@ def _show_path(run: LineRun, *, oriented: bool) -> None:
 
 
 def _write(result: RunResult, options: argparse.Namespace) -> None:
-    from rx90_emulator.loop.result import save_arrays, write_bag
+    from rx90_emulator.loop.result import write_bag
 
     if result.substeps > 1:
         print(f"plant steps in a tick: {result.substeps}")
@@ -170,6 +167,3 @@ def _write(result: RunResult, options: argparse.Namespace) -> None:
     if options.output is not None:
         write_bag(result, options.output)
         print(one_line(f"bag: {options.output}"))
-    if options.arrays is not None:
-        save_arrays(result, options.arrays)
-        print(one_line(f"arrays: {options.arrays}"))

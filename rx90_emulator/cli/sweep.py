@@ -6,15 +6,12 @@ import argparse
 import time
 from pathlib import Path
 
-from rx90_common.base.errors import FailureError, check_replaced
+from rx90_common.base.errors import FailureError
 from rx90_common.base.quoting import counted, one_line, plain
-from rx90_common.process.files import write_text
 from rx90_emulator.cli.options import (
-    add_force,
     add_output,
     add_robot_argument,
     add_verbs,
-    new_file,
     place,
     whole_number,
 )
@@ -31,12 +28,6 @@ def _add_run(run: argparse.ArgumentParser) -> None:
                      "sweep/reference_1000.yaml")  # fmt: skip
     add_output(run, place, "Parquet file to write", metavar="FILE", required=True)
     add_robot_argument(run)
-    run.add_argument(
-        "--report",
-        type=new_file,
-        metavar="FILE",
-        help="page on the results to write as well, .html; new",
-    )
     run.add_argument(
         "--resume", action="store_true", help="compute only the runs that the output lacks"
     )
@@ -86,8 +77,6 @@ def _run(options: argparse.Namespace) -> None:
             runs = "the run" if len(errors) == 1 else f"each of the {len(errors)} runs"
             more = f"rx90 sweep info {plain(options.output)} says more"
             raise FailureError(f"{runs} failed, for example: {errors[0].as_py()}; {more}")
-    if options.report is not None:
-        _write_page(options.output, options.report)
 
 
 def _add_info(info: argparse.ArgumentParser) -> None:
@@ -101,32 +90,7 @@ def _info(options: argparse.Namespace) -> None:
     print("\n".join(describe_results(options.file)))
 
 
-def _add_report(report: argparse.ArgumentParser) -> None:
-    _add_info(report)
-    add_output(report, place, "page (the file's name with .html, here)", metavar="PAGE")
-    add_force(report)
-    report.set_defaults(interrupted="nothing was written")
-
-
-def _report(options: argparse.Namespace) -> None:
-    """Write a page on a file of results: how the path error is distributed, and why.
-
-    What each swept parameter does to it, the worst runs, and what all of them started from.
-    """
-    page: Path = options.output or place(options.file.with_suffix(".html").name)
-    check_replaced(page, force=options.force)
-    _write_page(options.file, page)
-
-
-def _write_page(file: Path, page: Path) -> None:
-    from rx90_emulator.sweep.report import sweep_page
-
-    write_text(page, sweep_page(file))
-    print(one_line(f"page: {page.resolve()}"))
-
-
 _VERBS = (
     (_add_run, _run, "run a plan"),
     (_add_info, _info, "show what a file of results holds"),
-    (_add_report, _report, "write a page on a file of results"),
 )

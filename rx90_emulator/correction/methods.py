@@ -46,7 +46,8 @@ from rx90_emulator.loop.setup import Setup
 LEAD_IN = 0.3
 """Time before the path from which errors count, s, gradually: so the error at rest is corrected when the path
 begins."""
-_ORDER = 2  # of the Butterworth filter, which is run forwards and backwards
+_JOINTS = 0.005  # m/rad: weight of a joint's own error, with encoders; it also preserves the tool's orientation
+_LARGEST_EFFORT = 1e3  # m/rad
 
 Update: TypeAlias = Callable[[Array, Array, float], Array]
 """Returns the next offsets for offsets, rad, (n, joints), their error, and a share of the gain. The error is that of
@@ -55,51 +56,38 @@ the joints by the encoders, rad, (n, joints), or that of the tip, m, (n, 3)."""
 
 @dataclass(frozen=True)
 class NormOptimal:
-    """The method; both weights are relative to an error of a metre at the tip.
+    """The method.
 
     Attributes:
-        effort: weight of a change of the correction, m/rad. A smaller one learns faster and up to higher frequencies,
-            relies more on the model, and transmits more noise.
-        joints: weight of each joint's own error beside that of the tip, m/rad, with encoders; it also preserves the
-            tool's orientation.
-        cutoff: of a zero-phase filter of the correction, Hz; None for none.
+        effort: weight of a change of the correction, relative to an error of a metre at the tip, m/rad. A smaller one
+            learns faster and up to higher frequencies, relies more on the model, and transmits more noise.
 
     Raises:
         ConfigError: naming the value and what is accepted.
     """
 
     effort: float = 0.1
-    joints: float = 0.005
-    cutoff: float | None = None
 
     def __post_init__(self) -> None:
-        for name, most, unit in (
-            ("effort", 1e3, "m/rad"),
-            ("joints", 1e3, "m/rad"),
-            ("cutoff", 1e6, "Hz"),
-        ):
-            value = getattr(self, name)
-            if value is not None and not 0.0 < value <= most:
-                raise ConfigError(
-                    f"{name} is {value:g} {unit}; accepted: a number > 0, up to {most:g}"
-                )
+        if not 0.0 < self.effort <= _LARGEST_EFFORT:
+            raise ConfigError(
+                f"effort is {self.effort:g} m/rad; accepted: a number > 0, up to {_LARGEST_EFFORT:g}"
+            )
 
     def prepare(self, setup: Setup, nominal: TrajectoryPath, *, tip: bool) -> Update:
         """Return the update along a motion, from the error of the tip or from those of the encoders."""
         a, b, stride = response(setup, nominal.setpoints)
         slopes = jacobian(setup.robot.chain, nominal.setpoints[::stride, 0])
         by_tip = np.swapaxes(slopes[:, :3], 1, 2)
-        weight = by_tip @ slopes[:, :3] + (0.0 if tip else self.joints**2) * np.eye(slopes.shape[2])
+        weight = by_tip @ slopes[:, :3] + (0.0 if tip else _JOINTS**2) * np.eye(slopes.shape[2])
         counted = lead_in(nominal)
         point = np.arange(len(nominal.counts)) // stride
         feedback, inverse = gains(a, b, stride, weight, self.effort, counted)
         towards = (by_tip if tip else weight)[point] * counted[:, None, None]
-        low_pass = None if self.cutoff is None else zero_phase(self.cutoff, nominal.period)
 
         def update(offsets: Array, error: Array, share: float) -> Array:
             weighted = np.einsum("nij,nj->ni", towards, error)
-            changed = offsets + share * best_change(a, b, stride, feedback, inverse, weighted)
-            return changed if low_pass is None else low_pass(changed)
+            return offsets + share * best_change(a, b, stride, feedback, inverse, weighted)
 
         return update
 
@@ -111,20 +99,6 @@ def lead_in(nominal: TrajectoryPath) -> Array:
     rows = min(round(LEAD_IN / nominal.period), begin)
     counts[begin - rows : begin] = np.arange(rows) / max(rows, 1)
     return counts
-
-
-def zero_phase(cutoff: float, period: float) -> Callable[[Array], Array]:
-    """Return a low-pass filter of rows, run forwards and backwards, which extends its input by its last value."""
-    if not cutoff < 0.5 / period:
-        raise ConfigError(
-            f"cutoff is {cutoff:g} Hz; accepted: below {0.5 / period:g} Hz, half the rate of set-points"
-        )
-    from scipy.signal import butter, sosfiltfilt  # takes a while
-
-    sections = butter(_ORDER, cutoff, fs=1.0 / period, output="sos")
-    return lambda rows: np.ascontiguousarray(
-        sosfiltfilt(sections, rows, axis=0, padtype="constant")
-    )
 
 
 def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:

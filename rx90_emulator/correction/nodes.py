@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import signal
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -28,13 +27,12 @@ _APPROACH_SPEED = 0.25
 _APPROACH_ACCELERATION = 2.0
 # s at the start of the path: the integrators take some 0.1 s, then the arm is at rest
 _REST_S = 0.5
-_SENSOR = 0.5  # s, longest lag of a sensor of the tip: a camera with its evaluation
 _GRACE = 20.0  # s for a recorder to write its messages
 
 
 @contextmanager
 def node_trials(
-    learner: Learner, controller: str, timeout: float, tip_topic: str | None = None
+    learner: Learner, controller: str, timeout: float
 ) -> Iterator[Callable[[Correction], Measured]]:
     """Yield the function that plays a trial on running nodes.
 
@@ -45,14 +43,13 @@ def node_trials(
         learner: of the path.
         controller: name of the controller node.
         timeout: longest wait for a node, s.
-        tip_topic: of a sensor that measures the tip, as `tip_of_file` reads it; None for none.
 
     Raises:
         ExchangeError: if a node does not appear.
     """
     robot = learner.setup.robot
     points = learner.path.points
-    topics = ["joint_states", REFERENCE, TRACKING, *([tip_topic] if tip_topic else [])]
+    topics = ["joint_states", REFERENCE, TRACKING]
     with (
         tempfile.TemporaryDirectory(prefix="rx90_correct_") as name,
         client_node("rx90_correct", timeout, partial(print, flush=True)) as client,
@@ -94,14 +91,10 @@ def node_trials(
             recorder = recorders.start(f"recorder of {bag.name}", words)
             recorder.wait_for("ready: all", timeout)
             follow(points, correction)
-            if tip_topic is not None:
-                time.sleep(_SENSOR)
             recorder.signal(signal.SIGINT)
             recorder.expect_success(timeout)
-            found, _ = measured(
-                learner.setup, learner.nominal, bag, tip_topic and bag, tip_topic=tip_topic
-            )
+            errors, _ = measured(learner.setup, learner.nominal, bag, None)
             shutil.rmtree(bag, ignore_errors=True)
-            return found
+            return errors
 
         yield play

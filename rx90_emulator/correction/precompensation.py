@@ -11,16 +11,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction, PlayedCorrection
 from rx90_emulator.correction.learning import run_corrected
-from rx90_emulator.correction.methods import zero_phase
 from rx90_emulator.correction.path import CorrectablePath, TrajectoryPath
 from rx90_emulator.loop.setup import Setup
 
 CUTOFF = 5.0
 """Default cut-off of the filter that smooths the offsets, Hz: faster offsets reverse the sign of the Coulomb
 feed-forward on the shipped tasks, and make the path worse."""
+_ORDER = 2  # of the Butterworth filter
 _STRIDE = 2
 """Set-points from one point of the trajectory to the next: quintics through these hardly deviate from smooth ones."""
 
@@ -40,7 +42,7 @@ def corrected_trajectory(
     count = len(nominal.setpoints)
     period = nominal.period
     played = PlayedCorrection.started(correction, 0).at(np.arange(count))
-    offset = zero_phase(cutoff, period)(played)
+    offset = _smoothed(played, cutoff, period)
     offset -= offset[0] * np.linspace(1.0, 0.0, count)[:, None]  # it begins where the path does
     velocity = np.gradient(offset, period, axis=0)
     acceleration = np.gradient(velocity, period, axis=0)
@@ -53,6 +55,18 @@ def corrected_trajectory(
     return TrajectoryPoints.create(
         names, names, times, *(motion[rows, k].tolist() for k in range(3))
     )
+
+
+def _smoothed(rows: Array, cutoff: float, period: float) -> Array:
+    """Return rows behind a low-pass filter, run forwards and backwards, which extends them by their last value."""
+    if not cutoff < 0.5 / period:
+        raise ConfigError(
+            f"cutoff is {cutoff:g} Hz; accepted: below {0.5 / period:g} Hz, half the rate of set-points"
+        )
+    from scipy.signal import butter, sosfiltfilt  # takes a while
+
+    sections = butter(_ORDER, cutoff, fs=1.0 / period, output="sos")
+    return np.asarray(sosfiltfilt(sections, rows, axis=0, padtype="constant"))
 
 
 def travelled_error(setup: Setup, path: CorrectablePath, points: TrajectoryPoints) -> float:

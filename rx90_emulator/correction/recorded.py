@@ -8,7 +8,6 @@ lag then does not count, and only the path remains, which is the purpose of a co
 from __future__ import annotations
 
 from contextlib import suppress
-from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,12 +15,10 @@ import numpy as np
 from scipy.signal import fftconvolve
 
 from rx90_common.bags.comparison import align
-from rx90_common.bags.reading import BagReader, read_joint_states
-from rx90_common.bags.topics import absolute
+from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.quoting import counted, plain
-from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_emulator.correction.file import CorrectionFile
 from rx90_emulator.correction.learning import RECORD, LearnedCorrection, Learner, Measured
 from rx90_emulator.correction.path import TrajectoryPath
@@ -36,12 +33,6 @@ _GAP = 3.5  # times the median interval, or the set-points' own: up to two missi
 _MAX_DIFFERENCE = 0.02
 # longest record, in set-points: the search for the motion then takes some GB
 _MAX_ROWS = 10_000_000
-_POSITIONS = {
-    "geometry_msgs/msg/PointStamped": "point",
-    "geometry_msgs/msg/PoseStamped": "pose.position",
-    "geometry_msgs/msg/TransformStamped": "transform.translation",
-}
-"""Types of messages with a position, and its place in them."""
 
 
 class Laid(NamedTuple):
@@ -165,51 +156,27 @@ def joints_of_bag(
     return (tracking.position - added)[rows], added[rows], source
 
 
-def tip_of_file(
-    file: Path | str, nominal: TrajectoryPath, topic: str | None = None
-) -> tuple[Array, str]:
+def tip_of_file(file: Path | str, nominal: TrajectoryPath) -> tuple[Array, str]:
     """Return required less measured position of the tip at a path's set-points, m, shape (n, 3).
 
     The file is a CSV table with a header: `time [s]`, and `x`, `y`, `z` of the tool centre point in the base frame,
-    each with its unit, such as `[mm]`. With a topic it is a bag with PointStamped, PoseStamped or TransformStamped.
+    each with its unit, such as `[mm]`.
 
     Returns:
         The error, and how it was found.
     """
-    rows = _table(Path(file)) if topic is None else _topic(file, topic)
-    laid = laid_under(rows[:, 0], rows[:, 1:], nominal.tip, nominal, plain(file))
-    return (
-        nominal.tip - laid.values,
-        f"tip of {plain(file)}, begun at {laid.shift:.6f} s of its time",
-    )
-
-
-def _topic(bag: Path | str, name: str) -> Array:
-    with BagReader(bag) as reader:
-        found = [
-            one for one in reader.topics if one.name == absolute(name) and one.msgtype in _POSITIONS
-        ]
-        if not found:
-            raise BagError(
-                f"no topic {plain(name)} of {', '.join(_POSITIONS)}; accepted: one that is"
-            )
-        read = attrgetter(_POSITIONS[found[0].msgtype])
-        messages = [reader.deserialize(one, data) for one, _, data in reader.messages(found)]
-    rows = [(message_time_ns(each.header.stamp) / NANOSECONDS, read(each)) for each in messages]
-    return np.array(
-        [(time, place.x, place.y, place.z) for time, place in rows], dtype=np.float64
-    ).reshape(-1, 4)
-
-
-def _table(file: Path) -> Array:
-    rows, units = read_columns(file, ("time", "x", "y", "z"))
+    rows, units = read_columns(Path(file), ("time", "x", "y", "z"))
     if units[0] != "s" or len(set(units[1:])) > 1 or units[1] not in UNITS:
         named = ", ".join(unit or "none" for unit in units)
         raise ConfigError(
             f"{plain(file)}: time, x, y, z have the units {named}; accepted: the titles time [s] and x, y, z in one of "
             f"{', '.join(UNITS)}"
         )
-    return rows * [1.0, *[UNITS[units[1]]] * 3]
+    laid = laid_under(rows[:, 0], UNITS[units[1]] * rows[:, 1:], nominal.tip, nominal, plain(file))
+    return (
+        nominal.tip - laid.values,
+        f"tip of {plain(file)}, begun at {laid.shift:.6f} s of its time",
+    )
 
 
 def measured(
@@ -218,7 +185,6 @@ def measured(
     bag: Path | str | None,
     tip: Path | str | None,
     topic: str = "joint_states",
-    tip_topic: str | None = None,
 ) -> tuple[Measured, list[str]]:
     """Return the errors of a trial, and a line on each record on how it was found; from a bag, a tip, or both.
 
@@ -233,7 +199,7 @@ def measured(
         sources.append(text)
     error = None
     if tip is not None:
-        error, text = tip_of_file(tip, nominal, tip_topic)
+        error, text = tip_of_file(tip, nominal)
         sources.append(text)
     return Measured(joints, error, played), sources
 

@@ -10,23 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
-from rx90_common.base.errors import BagError, ConfigError, check_type, write_error
+from rx90_common.base.errors import ConfigError, check_type, write_error
 from rx90_common.base.quoting import aligned, listed, plain, quoted
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_common.process.files import atomic_files
-from rx90_emulator.export.files import creep, files_of
-from rx90_emulator.export.fit import POINTS, FrictionFit, fit_friction, speeds_up_to
+from rx90_emulator.export.files import files_of
+from rx90_emulator.export.fit import FrictionFit, fit_friction, speeds_up_to
 from rx90_emulator.export.targets import TARGETS, Target
 from rx90_emulator.loop.setup import Arm
 
 REPORT = "export.yaml"
 """The file beside those of the simulator that states the errors of the export."""
 
-_FEWEST = 20  # least number of samples of a bag that determine the speeds of a joint
 _GRID = 1_000_000  # most combinations of the speeds of joints that move at once
 _BESIDE = 1e-9  # rad/s beside rest: above the rounding of sums of speeds, far below the Stribeck velocities
 _ROUNDING = 1e-9  # Nm: a smaller difference is rounding
@@ -126,26 +124,21 @@ def export_robot(
     target: str,
     *,
     speeds: tuple[float, float] | None = None,
-    bag: Path | str | None = None,
 ) -> Export:
     """Return a robot, or its friction alone, in the format of another simulator.
 
     Args:
         arm: the robot and its friction.
         target: one of TARGETS.
-        speeds: the range in use, rad/s; by default, if no bag is given either, that over which each element was
-            identified, or else that of each joint, from 1 mrad/s.
-        bag: its joint_states determine which speeds are in use, and how often.
+        speeds: the range in use, rad/s; by default that over which each element was identified, or else that of each
+            joint, from 1 mrad/s.
 
     Raises:
-        ConfigError: for an unknown target, an invalid range, or both a range and a bag.
-        BagError: if the bag cannot be read, or no joint moves in it.
+        ConfigError: for an unknown target, or an invalid range.
     """
     check_type(arm=(arm, Arm))
     if target not in TARGETS:
         raise ConfigError(f"target {quoted(target)}; accepted: {listed(TARGETS)}")
-    if speeds is not None and bag is not None:
-        raise ConfigError("speeds from a range and from a bag; accepted: one of both")
     simulator = TARGETS[target]
     turns = arm.drives.turning.element_matrix
     names = arm.robot.joint_names
@@ -154,7 +147,7 @@ def export_robot(
         names = arm.friction.names
         felt = np.eye(len(turns))
     fits = []
-    used, words = _speeds_in_use(arm, turns[: len(names)], speeds, bag)
+    used, words = _speeds_in_use(arm, turns[: len(names)], speeds)
     for k, (name, speed) in enumerate(zip(names, used, strict=True)):
         fit = fit_friction(
             simulator, name, [arm.friction.elements[e] for e in np.flatnonzero(felt[:, k])], speed
@@ -162,55 +155,25 @@ def export_robot(
         fits.append(fit if simulator.mjcf else _with_coupling(fit, arm, k, used))
     files = files_of(arm, simulator, fits)
     lost = _arm_losses(arm, simulator)
-    if target == "mujoco-classic":
-        (text,) = files.values()
-        most = f"{creep(text, arm, fits):.2g} rad/s"
-        lost.append(
-            f"rest: under half of its friction a joint creeps by up to {most}, measured in MuJoCo"
-        )
     return Export(simulator, tuple(fits), files, tuple(lost), words)
 
 
 def _speeds_in_use(
-    arm: Arm, turns: Array, speeds: tuple[float, float] | None, bag: Path | str | None
+    arm: Arm, turns: Array, speeds: tuple[float, float] | None
 ) -> tuple[list[Array], str]:
     """Return the speeds of each row of turns, shape (k, joints), and their source in words."""
     if speeds is not None:
-        return [speeds_up_to(speeds[1], speeds[0])] * len(
-            turns
-        ), f"from {speeds[0]:g} to {speeds[1]:g} rad/s"
-    most = np.abs(turns) @ arm.robot.max_velocity
-    whole = [speeds_up_to(high) for high in most]
+        low, high = speeds
+        return [speeds_up_to(high, low)] * len(turns), f"from {low:g} to {high:g} rad/s"
+    used = [speeds_up_to(high) for high in np.abs(turns) @ arm.robot.max_velocity]
     words = f"from {LINEAR_SPEED:g} rad/s to the largest of each joint"
     identified = _identified_ranges(arm)
     if identified:
         for k, name in enumerate(arm.friction.names[: len(turns)]):
             if name in identified:
-                whole[k] = speeds_up_to(*identified[name])
+                used[k] = speeds_up_to(*identified[name])
         words = "those over which each element was identified; of others " + words
-    if bag is None:
-        return whole, words
-    series = read_joint_states(bag, "joint_states", arm.robot.joint_names)
-    if series.velocity is None:
-        raise BagError(f"{plain(bag)}: joint_states has no velocities; accepted: a bag with them")
-    used = []
-    resting = []
-    for row, speed, default in zip(turns, np.abs(series.velocity @ turns.T).T, whole, strict=True):
-        moving = speed[speed >= LINEAR_SPEED]
-        if len(moving) >= _FEWEST:
-            used.append(np.quantile(moving, np.linspace(0.0, 1.0, POINTS)))
-        else:
-            used.append(default)
-            resting.append(" and ".join(np.array(arm.robot.joint_names)[row != 0.0]))
-    if len(resting) == len(turns):
-        raise BagError(
-            f"{plain(bag)}: no joint moves at {LINEAR_SPEED:g} rad/s or more; accepted: a bag of motions"
-        )
-    rest = f"; {', '.join(resting)} rests there: {words}" if resting else ""
-    return (
-        used,
-        f"those of {plain(bag)} from {LINEAR_SPEED:g} rad/s on, as often as they are there{rest}",
-    )
+    return used, words
 
 
 def _identified_ranges(arm: Arm) -> dict[str, tuple[float, float]]:
@@ -323,6 +286,8 @@ def _arm_losses(arm: Arm, target: Target) -> list[str]:
         lost.append(
             f"rotor inertias, for which it has no place: up to {largest:g} kg m^2 at a joint"
         )
+    if target.mjcf and not target.lugre:
+        lost.append("rest: under less than its friction a joint creeps")
     if drives.elasticity.elastic.any():
         lost.append("elasticity and play of the gears: they are rigid")
     if drives.cogging.used and not target.lugre:

@@ -29,7 +29,6 @@ SOLREF_STEPS = 2.0
 # m; any two lengths give the same torque
 _SPRING_ARM = 0.1
 _SPRING_ANCHOR = 0.3
-_CREEP_TIME = 0.5  # s
 
 
 @cache
@@ -167,27 +166,3 @@ def _urdf(arm: Arm, fits: Sequence[FrictionFit]) -> str:
         friction = _numbers(fit.law.tau_c)
         ET.SubElement(joints[name], "dynamics", damping=damping, friction=friction)
     return _indented(root)
-
-
-def creep(text: str, arm: Arm, fits: Sequence[FrictionFit]) -> float:
-    """Return the largest creep speed of a joint under half of its holding friction, rad/s, measured in MuJoCo.
-
-    Args:
-        text: MJCF, with friction as frictionloss.
-        arm: the robot.
-        fits: the friction of its elements.
-    """
-    import mujoco
-
-    model = mujoco.MjModel.from_xml_string(text)
-    model.opt.gravity[:] = 0.0
-    model.tendon_stiffness[:] = 0.0
-    coulomb = np.array([fit.law.tau_c for fit in fits]) @ np.abs(arm.drives.turning.element_matrix)
-    fastest = 0.0
-    for i, name in enumerate(arm.robot.joint_names):
-        data = mujoco.MjData(model)
-        at = model.joint(name).dofadr[0]
-        data.qfrc_applied[at] = 0.5 * coulomb[i]
-        mujoco.mj_step(model, data, nstep=round(_CREEP_TIME / model.opt.timestep))
-        fastest = max(fastest, float(abs(data.qvel[at])))
-    return fastest

@@ -66,7 +66,6 @@ class FrictionFit:
 
     Attributes:
         name: of the element or the joint.
-        elements: whose sum a joint has if the target has no elements that turn with two joints.
         law: the target's law.
         speeds: of the comparison, rad/s, shape (n,), all above 0.
         largest: largest difference of the torque at these speeds of either sign, Nm.
@@ -79,7 +78,6 @@ class FrictionFit:
     """
 
     name: str
-    elements: tuple[FrictionElement, ...]
     law: SimulatorLaw
     speeds: Array
     largest: float
@@ -125,7 +123,6 @@ def fit_friction(
     largest = float(np.abs(difference).max())
     return FrictionFit(
         name,
-        tuple(elements),
         law,
         speeds,
         largest,

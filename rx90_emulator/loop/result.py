@@ -1,14 +1,13 @@
-"""What a run of the closed loop gives: series by topic with names and units, also as a bag and as a NumPy file."""
+"""What a run of the closed loop gives: series by topic with names and units, also as a bag."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,6 @@ from numpy.typing import NDArray
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, check_type
-from rx90_common.base.quoting import plain
 from rx90_common.description.coupling import ArmSize
 from rx90_common.exchange.topics import (
     CORRECTION,
@@ -29,7 +27,6 @@ from rx90_common.exchange.topics import (
     TRAJECTORY_ACCEPTED,
     motor_names,
 )
-from rx90_common.process.files import atomic_files
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.points import message_content
@@ -223,39 +220,3 @@ def write_bag(run: RunResult, path: Path | str, decimation: int = 1) -> None:
         one if topic in _NOT_DECIMATED else one.take(kept) for topic, one in run.series.items()
     ]
     write_joint_states(path, series, messages=others)
-
-
-def save_arrays(run: RunResult, file: Path | str) -> None:
-    """Write a run to a new compressed NumPy file, `.npz`: arrays by `<series> <quantity> [unit]`, and names.
-
-    The series are named as the topics, less their node. `time [s]`, shape (m,), belongs to those on position ticks,
-    shape (m, joints); `detail time [s]` to set-point acceleration and currents, on every tenth of these; `base time
-    [s]`, shape (n,), to `motor_states` and `motor_commands`, which are there if the run kept them; `temperature time
-    [s]` to `temperature [degC]`, shape (k, elements), and `winding temperature [degC]`, shape (k, motors), which are
-    there if joints or windings get warm (0 for elements that have none).
-
-    Raises:
-        Rx90Error: if the file cannot be written.
-    """
-    arrays: dict[str, Any] = {
-        "joint names": np.array(run.setup.robot.joint_names),
-        "element names": np.array(run.setup.friction.names),
-        "time [s]": run.times,
-        "detail time [s]": run.times[::DETAIL_DECIMATION],
-    }
-    if len(run.slow.temperatures):
-        arrays["temperature time [s]"] = (
-            np.arange(len(run.slow.temperatures)) / run.setup.rates.temperature_hz
-        )
-        arrays["temperature [degC]"] = run.slow.temperatures
-        arrays["winding temperature [degC]"] = run.slow.windings
-    for topic, series in run.series.items():
-        if topic == MOTOR_STATES:
-            arrays["base time [s]"] = np.arange(len(series.stamp_ns)) * run.setup.rates.period
-        for field, values in series.fields.items():
-            arrays[f"{topic.rpartition('/')[2]} {series.quantities[field]}"] = values
-    path = Path(file)
-    if os.path.lexists(path):
-        raise ConfigError(f"{plain(path)} exists; accepted: a new file")
-    with atomic_files(path) as (place,), place.open("wb") as stream:
-        np.savez_compressed(stream, **arrays)

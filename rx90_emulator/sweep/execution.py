@@ -11,7 +11,6 @@ import logging
 import multiprocessing as mp
 import os
 import pickle
-import re
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -29,7 +28,7 @@ import numpy as np
 from tqdm import tqdm
 
 from rx90_common.base.errors import ConfigError, FailureError, SweepError
-from rx90_common.base.quoting import one_line, quoted
+from rx90_common.base.quoting import one_line
 from rx90_common.process.requirements import missing_module
 from rx90_emulator.sweep.store import ResultStore
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
@@ -39,7 +38,6 @@ MOST_WORKERS = 1024
 _CHUNKS_PER_WORKER = 32
 _QUEUED_PER_WORKER = 3
 _CONNECT_TIMEOUT = 10.0
-_ADDRESS = re.compile(r"\w+://\S+")  # without a protocol, Dask looks for a file
 _NOISY_LOGGERS = ("distributed", "distributed.client", "tornado.application")
 _HEAP_THRESHOLD = 1 << 30
 _RESUME_ADVICE = "what is done is kept, go on with resume (--resume)"
@@ -205,10 +203,6 @@ def dask_pool(sweep: Sweep, address: str) -> Iterator[Pool]:
     Raises:
         FailureError: if Dask is not installed.
     """
-    if not _ADDRESS.fullmatch(address):
-        raise SweepError(
-            f"the scheduler is {quoted(address)}; accepted: an address such as tcp://host:8786"
-        )
     try:
         distributed: Any = import_module("distributed")
     except ImportError as error:  # which most sweeps do without
@@ -231,13 +225,9 @@ def dask_pool(sweep: Sweep, address: str) -> Iterator[Pool]:
         executor = client.get_executor(pure=False)
         payload = pickle.dumps(sweep)
         yield Pool(workers, lambda chunk: executor.submit(_run_on_cluster, payload, chunk))
-    except (distributed.KilledWorker, CancelledError, OSError) as error:
+    except (distributed.KilledWorker, CancelledError, OSError, ImportError) as error:
         raise SweepError(
             f"the Dask cluster at {address} failed ({one_line(error)}); {_RESUME_ADVICE}"
-        ) from error
-    except ImportError as error:
-        raise SweepError(
-            f"a Dask worker lacks the emulator ({error}); accepted: the same version"
         ) from error
     finally:
         if client is not None:

@@ -8,11 +8,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Generic, Literal, TypeAlias, TypeVar
+from typing import Annotated, Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -79,8 +78,11 @@ class SpacedValues(OneOf):
         if self.geomspace is not None and not (start > 0.0 and stop > 0.0):
             raise ValueError(f"geomspace from {start:g} to {stop:g}; accepted: both > 0")
         spaced = np.linspace if self.geomspace is None else np.geomspace
-        with np.errstate(all="ignore"):  # values that are not finite are refused
-            return tuple(spaced(start, stop, int(count)).tolist())
+        with np.errstate(all="ignore"):
+            values = spaced(start, stop, int(count))
+        if not np.isfinite(values).all():
+            raise ValueError(f"values from {start:g} to {stop:g}; accepted: finite numbers")
+        return tuple(values.tolist())
 
 
 class NormalDistribution(FileModel):
@@ -156,11 +158,6 @@ class DrawnValues(OneOf):
                 )
         return self
 
-    def bare(self) -> dict[str, Any]:
-        """Return the distribution alone, without where it comes from."""
-        about = dict.fromkeys(self.about_keys, True)
-        return self.model_dump(exclude_none=True, exclude={**about, "normal": about})
-
     def quantile(self, share: float) -> float:
         """Return the value below which `share` of the distribution lies."""
         low, high = self.bounds
@@ -201,8 +198,6 @@ class SweptParameter(OneOf, Generic[_Space]):
 class GridParameter(SweptParameter[Listed]):
     """A quantity with a list of values; its name is the path that it sets, unless there are paths."""
 
-    each: Annotated[Literal[False], Field(description="Of random draws only.")] = False
-
     @cached_property
     def space(self) -> tuple[Value, ...]:
         """Return the values, in their order."""
@@ -211,11 +206,7 @@ class GridParameter(SweptParameter[Listed]):
 
     @model_validator(mode="after")
     def _check_values(self) -> GridParameter:
-        for value, count in Counter(self.space).items():
-            if not math.isfinite(value):
-                raise ValueError(f"a value is {value}; accepted: finite numbers, or true and false")
-            if count > 1:
-                raise ValueError(f"the value {value} stands twice; accepted: once")
+        _ = self.space
         return self
 
 
@@ -273,12 +264,6 @@ class Block(FileModel):
             raise ValueError(
                 f"draws is missing beside random; accepted: an integer in [1, {MOST_RUNS}]"
             )
-        if self.random is None and self.draws not in (None, 1):
-            raise ValueError(
-                f"draws is {self.draws} without random parameters; accepted: parameters to draw"
-            )
-        for name in self.listed.keys() & self.drawn.keys():
-            raise ValueError(f"the parameter {name} stands twice; accepted: once")
         return self
 
     @cached_property
@@ -389,23 +374,17 @@ class SweepPlan(FileModel):
     def of_grid(
         cls, values: Mapping[str, Sequence[Value]], base: SweepBase | None = None
     ) -> SweepPlan:
-        """Return the plan of all combinations of values, by the paths that they set; the last one varies fastest.
+        """Return the plan of all combinations of values, by the paths that they set; the last path varies fastest.
 
         Raises:
             ConfigError: for values that are no grid.
         """
-        grid = {
-            path: {"value": [v.item() if isinstance(v, np.generic) else v for v in listed]}
-            for path, listed in values.items()
-        }
-        for path in grid.keys() & FileModel.about_keys:
+        for path in values.keys() & FileModel.about_keys:
             raise ConfigError(
                 f"{quoted(path)} names nothing; accepted: such as friction.joint_2.c0"
             )
-        # A file's grid has parameters; without any there is one run of what the files have.
-        one_run = Block.model_construct(grid=Grid.model_construct())
-        block = {"grid": grid} if grid else one_run
-        content = {"blocks": {"grid": block}, "base": base or SweepBase()}
+        grid = {path: {"value": np.asarray(listed).tolist()} for path, listed in values.items()}
+        content = {"blocks": {"grid": {"grid": grid}}, "base": base or SweepBase()}
         with refusals(cls, content=content):
             return cls.model_validate(content)
 
@@ -416,41 +395,28 @@ class SweepPlan(FileModel):
 
     def description(self) -> dict[str, Any]:
         """Return everything that decides the results, as data for JSON: the files by their content."""
-        return {
-            "seed": self.seed,
-            "base_rate": self.base.base_rate,
-            "position_rate": self.base.position_rate,
-            "substeps": self.base.substeps,
-            "files": self.base.hashes(),
-            "blocks": [
-                {
-                    "name": name,
-                    "grid": [*map(_described, block.listed.items())],
-                    "random": [*map(_described, block.drawn.items())],
-                    "draws": block.draws or 1,
-                }
-                for name, block in self.blocks.entries.items()
-            ],
+        plan = self.model_dump(mode="json", exclude_none=True)
+        plan["base"] = {
+            key: plan["base"].get(key) for key in ("base_rate", "position_rate", "substeps")
         }
+        return {"files": self.base.hashes(), **_without_remarks(plan)}
 
 
-def _described(named: tuple[str, GridParameter | DrawnParameter]) -> dict[str, Any]:
-    name, parameter = named
-    space = parameter.space
+def _without_remarks(content: Any) -> Any:
+    """Return a plan's content without what is said of it for readers."""
+    if not isinstance(content, dict):
+        return content
     return {
-        "name": name,
-        "paths": parameter.paths or (name,),
-        "factor": parameter.value is None,
-        "space": space.bare() if isinstance(space, DrawnValues) else space,
-        "each": parameter.each,
+        key: _without_remarks(value)
+        for key, value in content.items()
+        if key not in FileModel.about_keys
     }
 
 
 def plan_hash(description: dict[str, Any]) -> str:
     """Return the SHA-256 of a plan's description; the files count by their content alone."""
     files = {role: entry and entry["sha256"] for role, entry in description["files"].items()}
-    text = json.dumps({**description, "files": files}, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return hashlib.sha256(json.dumps({**description, "files": files}).encode()).hexdigest()
 
 
 def load_sweep_plan(name: Path | str, *, robot: Path | str | None = None) -> SweepPlan:

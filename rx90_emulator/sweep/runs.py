@@ -123,8 +123,11 @@ class RunList:
 def _bind(block_name: str, block: Block, catalogue: Catalogue) -> list[Column]:
     """Return the parameters of a block, the grid's first, with what they set; those that are drawn each apart."""
     columns: list[Column] = []
-    parameters: dict[str, GridParameter | DrawnParameter] = {**block.listed, **block.drawn}
-    for name, parameter in parameters.items():
+    parameters: list[tuple[str, GridParameter | DrawnParameter]] = [
+        *block.listed.items(),
+        *block.drawn.items(),
+    ]
+    for name, parameter in parameters:
         paths = parameter.paths or (name,)
         with located(f"block '{block_name}', parameter '{name}'"):
             if isinstance(parameter, DrawnParameter) and parameter.each:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.limits import DamagedError, check_whole
 from rx90_common.base.errors import SweepError, write_error
-from rx90_common.base.quoting import aligned, counted, listed
+from rx90_common.base.quoting import aligned, counted
 from rx90_emulator.loop.parameters import SWITCH
 from rx90_emulator.sweep.sweep import RUN_COLUMNS, RunOutcome, Sweep
 
@@ -100,9 +100,8 @@ def about(schema: pa.Schema, file: Path) -> dict[str, Any]:
             f"{file} is not a result of rx90 sweep; accepted: a file that it wrote"
         ) from error
     if schema.names != written:
-        lacking = listed([name for name in written if name not in schema.names]) or "none"
         raise SweepError(
-            f"{file} has other columns, lacking {lacking}; accepted: the file as rx90 sweep wrote it"
+            f"{file} has other columns than rx90 sweep wrote; accepted: the file as it was"
         )
     return found
 
@@ -274,39 +273,26 @@ class ResultStore:
             raise write_error(target, error) from error
 
 
-def failures(table: pa.Table) -> list[tuple[str, int, str]]:
-    """Return the kinds of failures, most frequent first, each with the number of runs and an example."""
-    texts = [text for text in table["error"].to_pylist() if text is not None]
-    kinds = Counter(text.partition(":")[0] for text in texts)
-    return [
-        (kind, count, next(t for t in texts if t.startswith(kind)))
-        for kind, count in kinds.most_common()
-    ]
-
-
 def describe_results(file: Path) -> list[str]:
     """Describe a sweep's results: state, plan, versions, failures, and each column with unit and range."""
     table = read_sweep(file)
-    found = about(table.schema, file)
-    state = f"complete, {counted(found['runs'], 'run')}"
-    if len(table) < found["runs"]:
-        state = f"{len(table)} of {counted(found['runs'], 'run')}; go on with --resume"
-    failed = failures(table)
+    origin = about(table.schema, file)
+    state = f"complete, {counted(origin['runs'], 'run')}"
+    if len(table) < origin["runs"]:
+        state = f"{len(table)} of {counted(origin['runs'], 'run')}; go on with --resume"
+    errors = pc.drop_null(table["error"]).to_pylist()
     failure = "no run failed"
-    if failed:
-        kinds = ", ".join(f"{kind} {count}" for kind, count, _ in failed)
-        number = counted(sum(count for _, count, _ in failed), "run")
-        failure = f"{number} failed ({kinds}), for example: {failed[0][2]}"
+    if errors:
+        kinds = Counter(error.partition(":")[0] for error in errors).most_common()
+        shares = ", ".join(f"{kind} {count}" for kind, count in kinds)
+        failure = f"{counted(len(errors), 'run')} failed ({shares}), for example: {errors[0]}"
+    files = [(role, file) for role, file in origin["plan"]["files"].items() if file]
     return [
         f"{file}: {state}",
-        f"plan {found['identity'][:16]}, seed {found['seed']}, sources {found['sources']}",
+        f"plan {origin['identity'][:16]}, seed {origin['seed']}, sources {origin['sources']}",
         "versions: "
-        + ", ".join(f"{name} {version}" for name, version in found["versions"].items()),
-        *(
-            f"  {role:10}  {one['sha256'][:16]}  {one['name']}"
-            for role, one in found["plan"]["files"].items()
-            if one
-        ),
+        + ", ".join(f"{name} {version}" for name, version in origin["versions"].items()),
+        *(f"  {role:10}  {entry['sha256'][:16]}  {entry['name']}" for role, entry in files),
         failure,
         *_columns(table),
     ]

@@ -18,7 +18,7 @@ from rx90_emulator.cli.frame import run
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 MADE = {
     "python": (
-        "path_error.png friction.png run.npz reference_run/metadata.yaml grid.parquet scatter.parquet identified.yaml "
+        "path_error.png friction.png reference_run/metadata.yaml grid.parquet scatter.parquet identified.yaml "
         "measured.html"
     ),
     "own_motion": "my_run.png",

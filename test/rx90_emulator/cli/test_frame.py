@@ -121,9 +121,7 @@ WRITTEN = {
     "--report": [
         "rx90 identify compare nowhere",
         "rx90 program engine nowhere",
-        "rx90 sweep run nowhere --output x",
     ],
-    "--arrays": ["rx90 replay nowhere", "rx90 run nowhere"],
     "": ["rx90 bag import --signals nowhere nowhere"],
 }
 """By what is written, the commands that write it, with inputs that there are not."""
@@ -148,7 +146,7 @@ def test_what_is_written_is_looked_at_before_anything_else(
         (flag, name)
         for name, found in options.items()
         for action in found
-        for flag in {"--output", "--report", "--arrays"}.intersection(action.option_strings)
+        for flag in {"--output", "--report"}.intersection(action.option_strings)
     }
     assert writers == {(option, verb) for option, verb in listed if option}
 

@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pinocchio_chain import tip_pose
-from rosbags.rosbag2 import Writer
-from rosbags.typesys import Stores, get_typestore
 
 import rx90_emulator as rx
 from benchmarks.any_arm import write_arm
@@ -110,10 +108,9 @@ def response_mass(setup: Setup, pose: Array) -> Array:
     return np.asarray(upper + np.triu(upper, 1).T + setup.drives.rotor_matrix)
 
 
-@pytest.mark.parametrize("method", [rx.NormOptimal(), rx.NormOptimal(cutoff=60.0)])
-def test_trials_bring_the_true_tip_to_the_path(shipped: Setup, task: rx.LineTask, method: rx.NormOptimal) -> None:
+def test_trials_bring_the_true_tip_to_the_path(shipped: Setup, task: rx.LineTask) -> None:
     """Three trials leave less than a third of the path error; the run itself, measured apart from learning, says so."""
-    learned = rx.learn_correction(shipped, task, 3, method)
+    learned = rx.learn_correction(shipped, task, 3)
     before = rx.run_line(shipped, task).path_accuracy.worst
     after = rx.run_line(shipped, task, correction=learned.correction).path_accuracy.worst
     assert after < before / 3.0
@@ -268,19 +265,6 @@ def test_a_tip_is_laid_under_the_path(shipped: Setup, task: rx.LineTask, tmp_pat
     error, said = tip_of_file(file, nominal)
     assert float(said.split("begun at ")[1].split(" s")[0]) == pytest.approx(41.2345, abs=2e-5)
     assert error[nominal.counts] == pytest.approx(np.tile([0.0, 0.0, -5e-5], (nominal.counts.sum(), 1)), abs=5e-6)
-    bag = tmp_path / "tracker"
-    store = get_typestore(Stores.ROS2_JAZZY)
-    kinds = store.types
-    with Writer(bag, version=9) as writer:
-        connection = writer.add_connection("/tracker", "geometry_msgs/msg/PointStamped", typestore=store)
-        for time, *place in rows:
-            stamp = kinds["builtin_interfaces/msg/Time"](sec=int(time), nanosec=round(time % 1.0 * 1e9))
-            header = kinds["std_msgs/msg/Header"](stamp=stamp, frame_id="base_link")
-            point = kinds["geometry_msgs/msg/Point"](*(np.array(place) / 1e3).tolist())
-            sent = kinds["geometry_msgs/msg/PointStamped"](header=header, point=point)
-            writer.write(connection, round(time * 1e9), store.serialize_cdr(sent, "geometry_msgs/msg/PointStamped"))
-    same, _ = tip_of_file(bag, nominal, "tracker")
-    assert same == pytest.approx(error, abs=1e-8)
     half = rows[: len(rows) // 2]
     with pytest.raises(ConfigError, match="accepted: a record of all of the path"):
         laid_under(half[:, 0], half[:, 1:] / 1e3, nominal.tip, nominal, "half")

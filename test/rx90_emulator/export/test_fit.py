@@ -127,17 +127,6 @@ def test_errors_of_a_motor_that_turns_with_three_joints(tmp_path: Path) -> None:
     assert 0.97 * fit.worst < most <= fit.worst * (1.0 + 1e-3)
 
 
-def test_speeds_of_a_bag_move_the_fit(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
-    """Over the speeds of a short line the difference is that of these speeds, and smaller than over the whole range."""
-    rx.write_bag(rx.run_line(shipped, task), tmp_path / "bag")
-    used = rx.export_robot(shipped, "mujoco-classic", bag=tmp_path / "bag")
-    whole = rx.export_robot(shipped, "mujoco-classic")
-    speed = np.abs(rx.read_joint_states(tmp_path / "bag", "joint_states").velocity).max(axis=0)
-    for k, fit in enumerate(used.fits[:6]):
-        assert fit.speeds.max() == pytest.approx(speed[k], rel=1e-3)
-    assert used.fits[1].rms < whole.fits[1].rms
-
-
 def test_speeds_are_those_of_the_identification(shipped: Setup, tmp_path: Path) -> None:
     """Where the friction file says at which speeds an element was identified, it is fitted over these."""
     assert shipped.friction.file is not None
@@ -168,22 +157,17 @@ def test_verdict_and_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     (["urdf", "--friction", "nan.yaml"], "nan.yaml: elements.joint_1.tau_c is nan; accepted: a finite number > 0"),
     (["urdf", "--friction", "shape.yaml"], "shape.yaml: its identification has another shape; accepted: as"),
     (["urdf", "--speeds", "1e-300", "1"], "speeds from 1e-300 to 1 rad/s; accepted: two numbers from 1e-06 to 10000"),
-    (["urdf", "--speeds", "other.csv"], "other.csv: /joint_states: no joint 'joint_1'; there are panda_1, panda_2"),
 ])  # fmt: skip
 def test_bad_input_is_one_line(
     words: list[str], reason: str, shipped: Setup, tmp_path: Path, capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """A target's name misspelt, NaN in the friction file, a bag of other joints: refused, and nothing is written."""
+    """A target's name misspelt, NaN in the friction file, a bad range: refused, and nothing is written."""
     monkeypatch.chdir(tmp_path)
     assert shipped.friction.file is not None
     text = Path(shipped.friction.file).read_text(encoding="utf-8")
     Path("nan.yaml").write_text(re.sub(r"tau_c: [\d.]+", "tau_c: .nan", text), encoding="utf-8")
     Path("shape.yaml").write_text(f"{text}identification: {{speeds: {{joint_1: 3}}}}\n", encoding="utf-8")
-    Path("other.csv").write_text("t,a,b\n" + "".join(f"{k},{k},{k}\n" for k in range(30)), encoding="utf-8")
-    position = {"columns": ["a", "b"], "unit": "rad"}
-    mapping = {"time": {"column": "t", "unit": "s"}, "names": ["panda_1", "panda_2"], "position": position}
-    Path("other.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
     assert run("rx90 export", [*words, "--output", "out"]) == REFUSED
     assert reason in capsys.readouterr().err.splitlines()[-1]
     assert not Path("out").exists()

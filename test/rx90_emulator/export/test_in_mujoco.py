@@ -147,14 +147,12 @@ def test_a_line_under_the_same_law(shipped: Setup, task: LineTask) -> None:
 
 
 def test_friction_as_a_constraint_creeps_as_said(shipped: Setup) -> None:
-    """Where the engine rests, the classic arm creeps at constant speed, no faster than the export says."""
+    """Where the engine rests, the classic arm creeps at constant speed, below 10 µrad/s as the page says."""
     commands = torques(shipped, "sticking")
     ours, theirs = in_engine(shipped, commands), in_mujoco(shipped, commands, "mujoco-classic")
-    (said,) = [line for line in export_robot(shipped, "mujoco-classic").lost if "creeps" in line]
-    fastest = float(said.split(" by up to ")[1].split(" rad/s")[0])
     half = TICKS // 2
     speed = np.abs(theirs.q[-1] - theirs.q[-half]) / ((half - 1) * shipped.rates.period)
-    assert 0.0 < speed.max() < 1.1 * fastest
+    assert 0.0 < speed.max() < 1e-5
     assert np.abs(theirs.q - ours.q).max() < 1e-3
 
 

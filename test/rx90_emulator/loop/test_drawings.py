@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
+from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path as File
 from typing import Any
@@ -28,19 +29,14 @@ def _read(folder: File, name: str, text: str, **more: Any) -> Path:
 
 
 def test_a_drawing_is_laid_where_its_origin_and_axes_are(tmp_path: File, drawing: Any) -> None:
-    """A quarter turn about z and a shift: x becomes y; arcs keep their sense, and a rounded corner its zone."""
+    """A quarter turn about z and a shift: x becomes y; arcs keep their sense."""
     space = drawing.modelspace()
     space.add_arc((0.0, 0.0), 10.0, 0.0, 90.0)
     space.add_line((0.0, 10.0), (-20.0, 10.0))
-    place = {"origin": (0.5, 0.1, 0.2), "rpy_degrees": (0.0, 0.0, 90.0)}
-    turned = _dxf(tmp_path, drawing, zone=0.002, **place)
+    turned = _dxf(tmp_path, drawing, origin=(0.5, 0.1, 0.2), rpy_degrees=(0.0, 0.0, 90.0))
     ends = turned.curve.at(np.array([0.0, turned.length]))
     np.testing.assert_allclose(ends, [(0.5, 0.11, 0.2), (0.49, 0.08, 0.2)], atol=1e-9)
     assert turned.stops == (0.0, turned.length), "the arc goes over into the line"
-    space.add_line((-20.0, 10.0), (-20.0, 13.0))
-    corner = _dxf(tmp_path, drawing, zone=0.002, **place)
-    assert corner.segments[1].zone == pytest.approx(0.0015), "half of the shorter neighbour"
-    assert len(corner.stops) == 2
 
 
 CSV = {
@@ -64,11 +60,12 @@ def test_points_of_a_table(tmp_path: File, name: str) -> None:
 
 REFUSED = {
     "no unit": ("p.csv", "1 2 3\n4 5 6\n", {}, "names no unit; accepted: with unit, one of m, mm"),
-    "two units": ("p.csv", "x [mm],y [mm],z [mm]\n1,2,3\n4,5,6\n", {"unit": "m"}, "is in mm, unit is m"),
-    "a gap": ("p.csv", "x [m],y [m],z [m]\n1,2,3\n4,,6\n", {}, "line 3 is '4, , 6'; accepted: finite numbers, x, y, z"),
-    "not a number": ("p.csv", "1 2 nan\n", {"unit": "m"}, "line 1 is '1, 2, nan'"),
-    "a stray quotation mark": ("p.csv", 'x,y,z\n"1,2,3' + "\n1,2,3" * 30_000, {"unit": "m"}, "field larger than field"),
-    "twice": ("p.csv", "1 2 3\n1 2 3\n", {"unit": "m"}, r"points 1 and 2 are both \(1.0, 2.0, 3.0\)"),
+    "two units": ("p.csv", "x [mm],y [m],z [mm]\n1,2,3\n4,5,6\n", {"unit": "m"}, "units mm, m, mm; accepted: one of"),
+    "a gap": ("p.csv", "x [m],y [m],z [m]\n1,2,3\n4,,6\n", {}, "'' to float64 at row 1.* finite numbers, x, y, z"),
+    "not a number": ("p.csv", "1 2 nan\n", {"unit": "m"}, "finite: False; accepted: finite numbers"),
+    "a column too much": ("p.csv", "1 2 3 4\n", {"unit": "m"}, "4 columns, .*; accepted: finite numbers, x, y, z"),
+    "a stray quotation mark": ("p.csv", 'x,y,z\n"1,2,3' + "\n1,2,3" * 30_000, {"unit": "m"}, "accepted: finite"),
+    "twice": ("p.csv", "1 2 3\n1 2 3\n", {"unit": "m"}, r"starts and ends at \(1, 2, 3\) m"),
     "one point": ("p.csv", "1 2 3\n", {"unit": "m"}, "holds 1 point; accepted: two or more"),
     "another kind": ("p.svg", "", {}, "ends with '.svg'; accepted: .csv, .dxf"),
     "a layer": ("p.csv", "1 2 3\n", {"layer": "a"}, "layer of a file without layers"),
@@ -79,7 +76,7 @@ REFUSED = {
 def test_what_cannot_be_read_is_refused_with_its_line(tmp_path: File, name: str) -> None:
     """Each refusal is one line with file, line, what is there and what is accepted."""
     file, text, more, said = REFUSED[name]
-    with pytest.raises(ConfigError, match=said) as refusal:
+    with pytest.raises(Rx90Error, match=said) as refusal:
         _read(tmp_path, file, text, **more)
     assert "\n" not in str(refusal.value)
 
@@ -231,12 +228,12 @@ def test_dxf_spline_that_takes_too_many_points_is_refused(tmp_path: File, drawin
 
 
 UNITS_OF_DRAWINGS = {
-    "no header": ("", "names no unit; read in mm"),
+    "no header": ("", ""),
     "a header without a unit": (
         "  0\nSECTION\n  2\nHEADER\n  9\n$ACADVER\n  1\nAC1009\n  0\nENDSEC\n",
-        "names no unit",
+        "",
     ),
-    "no header, but a comment": ("999\n$INSUNITS\n", "names no unit; read in mm"),
+    "no header, but a comment": ("999\n$INSUNITS\n", ""),
     "feet": ("  0\nSECTION\n  2\nHEADER\n  9\n$INSUNITS\n 70\n     2\n  0\nENDSEC\n", "is in Feet; read in mm"),
     "centimetres": ("  0\nSECTION\n  2\nHEADER\n  9\n$INSUNITS\n 70\n     5\n  0\nENDSEC\n", "is in cm; read in mm"),
 }
@@ -244,20 +241,21 @@ UNITS_OF_DRAWINGS = {
 
 @pytest.mark.parametrize("name", UNITS_OF_DRAWINGS)
 def test_the_unit_of_the_path_goes_before_that_of_a_drawing(tmp_path: File, name: str) -> None:
-    """A unit that is missing or wrong in the drawing is the path's, in a line; without any the drawing is refused."""
+    """A unit missing in the drawing is the path's; a wrong one is, too, with a warning; without any it is refused."""
     pytest.importorskip("ezdxf")
     head, said = UNITS_OF_DRAWINGS[name]
     text = "  0\nTEXT\n  8\n0\n 10\n0\n 20\n0\n 40\n1\n  1\n$INSUNITS\n"
     line = "  0\nLINE\n  8\n0\n 10\n0\n 20\n0\n 11\n40\n 21\n0\n  0\nENDSEC\n  0\nEOF\n"
     line = f"  0\nSECTION\n  2\nENTITIES\n{text}{line}"
-    with pytest.warns(Rx90Warning, match=rf"part\.dxf: {said}"):
+    with pytest.warns(Rx90Warning, match=rf"part\.dxf: {said}") if said else nullcontext():
         path = _read(tmp_path, "part.dxf", head + line, unit="mm")
     assert path.length == pytest.approx(0.04)
     if name == "centimetres":
         assert _read(tmp_path, "part.dxf", head + line, unit="cm").length == pytest.approx(0.4)
         assert _read(tmp_path, "part.dxf", head + line).length == pytest.approx(0.4)
     else:
-        with pytest.raises(ConfigError, match=rf"{said.partition(';')[0]}; accepted: with unit, one of m, mm"):
+        said = said.partition(";")[0] or "names no unit"
+        with pytest.raises(ConfigError, match=rf"{said}; accepted: with unit, one of m, mm"):
             _read(tmp_path, "part.dxf", head + line)
 
 
@@ -273,7 +271,7 @@ def test_dxf_circles_layers_and_mirrored_arcs(tmp_path: File, drawing: Any) -> N
     assert mirrored.length == pytest.approx(math.pi / 2 * 0.01)
     with pytest.raises(ConfigError, match=r"is one path from .*, and 1 entities beside it; accepted"):
         _dxf(tmp_path, drawing)
-    with pytest.raises(ConfigError, match=r"on the layer 'none' \(there are cut, mirrored\)"):
+    with pytest.raises(ConfigError, match=r"holds no path on its layer; accepted: .* on cut, mirrored"):
         _dxf(tmp_path, drawing, layer="none")
 
 
@@ -341,8 +339,7 @@ def test_dxf_that_is_none_is_one_line(tmp_path: File, text: str) -> None:
     [
         ("a.csv", "0,0,0\n", 500_001),
         ("a.csv", "1", 70_000),
-        ("a.dxf", "0\n", 2_000_001),
-        ("a.dxf", "x", 1 + (16 << 20)),
+        ("a.dxf", "x", 1 + (8 << 20)),
     ],
 )
 def test_a_file_that_would_take_the_memory_is_refused_unread(tmp_path: File, name: str, part: str, count: int) -> None:
@@ -363,12 +360,6 @@ NO_SPLINES = {
     ),
     "no knot": ([0, 0, 0, 0, math.nan, 1, 1, 1], [1, 1, 1, 1], 1.0, "with the knots .* accepted: finite numbers"),
     "equal knots": ([0] * 8, [1, 1, 1, 1], 1.0, "with the knots .* accepted: finite numbers"),
-    "a weight below 0": (
-        [0, 0, 0, 0, 1, 1, 1, 1],
-        [1, -1, 1, 1],
-        1.0,
-        "with the weights .* accepted: finite numbers > 0",
-    ),
     "no place": ([0, 0, 0, 0, 1, 1, 1, 1], [1, 1, 1, 1], math.inf, "with a point that is no place"),
     "no length": ([0, 0, 0, 0, 1, 1, 1, 1], [1, 1, 1, 1], 0.0, "holds no path"),
 }

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import errno
 import re
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 import pytest
@@ -31,40 +29,21 @@ points:
 """
 
 
-def test_a_trajectory_of_a_file_runs_into_arrays_with_units(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The arm starts in the file's first point, ends in its last, and every array is named with its unit."""
-    file, arrays = tmp_path / "move.yaml", tmp_path / "run.npz"
+def test_a_trajectory_of_a_file_runs_into_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The arm starts in the file's first point and ends in its last; all series are there."""
+    file, bag = tmp_path / "move.yaml", tmp_path / "bag"
     file.write_text(TRAJECTORY)
-    assert run("rx90 run", [str(file), "--arrays", str(arrays)]) == 0
+    assert run("rx90 run", [str(file), "--output", str(bag)]) == 0
     said = capsys.readouterr().out
     assert "joint_6: worst tracking error" in said
     assert "path error 0." in said
-    with np.load(arrays) as stored:
-        assert stored["joint names"].tolist() == [f"joint_{n}" for n in range(1, 7)]
-        position = stored["joint_states position [rad]"]
-        assert position[0] == pytest.approx([0.0, 0.1, 0.2, 0.0, 0.3, 0.5])
-        assert position[-1] == pytest.approx([0.1, 0.1, 0.2, 0.0, 0.3, 0.6], abs=1e-3)
-        assert len(stored["time [s]"]) == len(position) == 700
-        assert stored["motor_commands effort [Nm]"].shape == (2800, 6)
-        assert stored["base time [s]"][1] == 250e-6
-        assert all("[" in name or name.endswith("names") for name in stored.files)
-
-
-@pytest.mark.parametrize(("fault", "code"), [(OSError(errno.ENOSPC, "No space"), 3), (KeyboardInterrupt(), 130)])
-def test_half_a_file_of_arrays_does_not_stay(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: BaseException, code: int
-) -> None:
-    """A write that fails or is interrupted leaves no file: the next try may take the same name."""
-
-    def savez(stream: BinaryIO, **_: object) -> None:
-        stream.write(b"half")
-        raise fault
-
-    monkeypatch.setattr(np, "savez_compressed", savez)
-    (tmp_path / "move.yaml").write_text(LATER)
-    file = tmp_path / "run.npz"
-    assert run("rx90 run", [str(tmp_path / "move.yaml"), "--arrays", str(file)]) == code
-    assert not file.exists()
+    stored = read_bag(bag)
+    position = stored["joint_states"].position
+    assert stored["joint_states"].names == tuple(f"joint_{n}" for n in range(1, 7))
+    assert position[0] == pytest.approx([0.0, 0.1, 0.2, 0.0, 0.3, 0.5])
+    assert position[-1] == pytest.approx([0.1, 0.1, 0.2, 0.0, 0.3, 0.6], abs=1e-3)
+    assert len(position) == 700
+    assert stored["motor_commands"].effort.shape == (2800, 6)
 
 
 def test_an_initial_position_has_a_number_for_each_joint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

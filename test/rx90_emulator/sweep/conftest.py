@@ -39,8 +39,3 @@ def sweep(plan: SweepPlan) -> Sweep:
 def outcomes(sweep: Sweep) -> list[RunOutcome]:
     """Return what comes of its runs, computed one after the other in this process."""
     return [sweep.run(index) for index in range(len(sweep))]
-
-
-@pytest.fixture(autouse=True)
-def _no_plots(undrawn: None) -> None:
-    """Leave plots out where a test does not look at them; those of shared runs are drawn."""

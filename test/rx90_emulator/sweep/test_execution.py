@@ -122,7 +122,7 @@ def test_no_cluster(tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatc
     for address, said in (
         ("tcp://127.0.0.1:1", "no Dask scheduler answers at tcp://127.0.0.1:1"),
         ("nonsense://x", "no Dask scheduler answers at nonsense://x"),
-        ("foo", "the scheduler is 'foo'; accepted: an address such as tcp://host:8786"),
+        ("foo", "no Dask scheduler answers at foo"),
     ):
         with pytest.raises(SweepError, match=said) as error:
             run_sweep(sweep, tmp_path / "out.parquet", scheduler=address, quiet=True)
@@ -314,11 +314,11 @@ def test_interrupt_and_kill_keep_what_is_done(
 @pytest.mark.parametrize("speeds", ["0.05, -1, 0.1", "-1, -2"])
 def test_run_and_info(speeds: str, tmp_path: Path, task_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A plan runs to its end, is not run over again without need, and info shows what came of it."""
-    plan, output, page = tmp_path / "plan.yaml", tmp_path / "out.parquet", tmp_path / "page.html"
+    plan, output = tmp_path / "plan.yaml", tmp_path / "out.parquet"
     grid = f"{{a: {{grid: {{task.speed: {{value: [{speeds}]}}}}}}}}"
     plan.write_text(f"base: {{task: {task_file}}}\nblocks: {grid}", encoding="utf-8")
     words, lost = ["run", str(plan), "--output", str(output), "--workers", "1"], not speeds.startswith("0")
-    for more, said in ((["--report", str(page)], "3 of 3 runs"), (["--resume"], "is complete, 3 runs")):
+    for more, said in (([], "3 of 3 runs"), (["--resume"], "is complete, 3 runs")):
         assert run("rx90 sweep", [*words, *more]) == (3 if lost else 0)
         out, err = capsys.readouterr()
         if lost:
@@ -327,8 +327,7 @@ def test_run_and_info(speeds: str, tmp_path: Path, task_file: Path, capsys: pyte
             assert line.endswith(f"; rx90 sweep info {output} says more")
         else:
             assert said in out
-            assert (f"1 failed (rx90 sweep info {output} says why)" in out) == ("--report" in more)
-    assert page.exists() != lost
+            assert (f"1 failed (rx90 sweep info {output} says why)" in out) == (not more)
     assert run("rx90 sweep", ["info", str(output)]) == 0
     shown = capsys.readouterr().out
     assert ("2 runs failed (LineError 2)" if lost else "1 run failed (LineError 1)") in shown

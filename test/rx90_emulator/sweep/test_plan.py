@@ -124,11 +124,10 @@ def test_shipped_and_documented_plans_fit(
     ("block", "said"),
     [
         ("{}", "blocks.a: has no parameters; accepted: one or both of grid, random"),
-        ("{grid: {task.speed: {value: [0.1, 0.1]}}}", "0.1 stands twice"),
         ("{grid: {task.speed: {value: [1], factor: [1]}}}", "has value and factor of value, factor; accepted: one"),
-        ("{grid: {task.speed: {value: [1], each: true}}}", "speed.each is True; accepted: False"),
+        ("{grid: {task.speed: {value: [1], each: true}}}", "speed.each is not a known key"),
         ("{grid: {task.speed: {value: {}}}}", "speed.value is {}; accepted: [v1, v2, ...], {linspace"),
-        ("{grid: {task.speed: {value: {linspace: [-1e308, 1e308, 3]}}}}", "speed: a value is nan; accepted: finite"),
+        ("{grid: {task.speed: {value: {linspace: [-1e308, 1e308, 3]}}}}", "from -1e+308 to 1e+308; accepted: finite"),
         ("{grid: {task.sped: {value: [1]}}}", "'sped' is unknown (did you mean speed?); accepted there: accel"),
         ("{grid: {friction.*.c0: {factor: [1]}, friction.joint_2.c0: {factor: [1]}}}", "both set friction.joint_2.c0"),
         ("{grid: {x: {paths: [task.speed, task.speed], value: [1]}}}", "set a value twice"),
@@ -136,7 +135,6 @@ def test_shipped_and_documented_plans_fit(
         ("{grid: {controller.feed_forward.coulomb: {factor: [2]}}}", "accepted: value"),
         ("{grid: {x: {paths: [task.speed, 'task.end[0]'], value: [1]}}}", "different units"),
         ("{random: {task.speed: {value: {uniform: [2, 1]}}}, draws: 1}", "bounds are 2 and 1"),
-        ("{grid: {task.speed: {value: [1]}}, draws: 4}", "without random parameters"),
         ("{grid: {task.speed: {value: {geomspace: [0, 1, 3]}}}}", "geomspace from 0 to 1; accepted: both > 0"),
         ("{random: {task.speed: {value: {loguniform: [0, 2]}}}, draws: 1}", "accepted: a lower bound > 0"),
         ("{random: {task.speed: {value: {normal: {mean: 1, deviation: 1e-308, low: 2}}}}, draws: 1}", "; accepted: at"),
@@ -186,7 +184,6 @@ def test_grid_is_the_full_product(catalogue: Catalogue) -> None:
     runs = all_runs(plan_of(a=first, b={"grid": {"task.speed": {"factor": [6.0]}}}), catalogue)
     assert [tuple(v for _, v in run.values) for run in runs] == [*product((1.0, 2.0), (3.0, 4.0, 5.0)), (6.0,)]
     assert [run.index for run in runs] == list(range(7))
-    assert [run.values for run in all_runs(SweepPlan.of_grid({}), catalogue)] == [()]
 
 
 def test_runs_do_not_depend_on_how_many_are_asked_for(catalogue: Catalogue) -> None:
