@@ -26,8 +26,6 @@ from rx90_common.description.drives import DriveParameters
 from rx90_common.description.poses import Poses
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.friction import FrictionElement, FrictionSet
-from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.files import file_stem, write_text
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.motion import Motion
@@ -332,8 +330,6 @@ def _approach(robot: RobotModel, motion: Motion, pose: ArrayLike) -> None:
 
 
 INDEX = "experiments.yaml"
-EMULATED = "emulated_friction.yaml"
-"""File with the friction that made the runs of a folder; only for runs of the emulator."""
 
 
 class ExperimentsFile(FileModel):
@@ -403,22 +399,3 @@ def read_index(folder: Path) -> IdentificationBags:
         if not (folder / name).exists():
             raise IdentificationError(f"{folder / INDEX} names {plain(name)}, which is not there")
     return IdentificationBags(*(tuple(folder / name for name in names) for names in uses))
-
-
-def write_emulated(folder: Path, friction: FrictionSet) -> None:
-    """Write the friction that runs were made with, for comparison with the identified one."""
-    elements = dict(zip(friction.names, friction.elements, strict=True))
-    source = "the emulator made the runs beside this file with it"
-    write_text(
-        folder / EMULATED, FrictionFile.of(elements, provenance="assumed", source=source).text()
-    )
-
-
-def read_emulated(bags: Iterable[Path]) -> dict[str, FrictionElement]:
-    """Return the friction that all bags were made with, by element; empty if it is not known for all of them."""
-    places = {bag.absolute().parent / EMULATED for bag in bags}
-    frictions = [
-        FrictionFile.read(place).elements.entries if place.is_file() else {}
-        for place in sorted(places)
-    ]
-    return frictions[0] if all(friction == frictions[0] for friction in frictions) else {}
