@@ -44,6 +44,8 @@ import numpy as np
 from rx90_common.arm_dynamics import body_dtype, manipulator_dtype, mass_and_bias
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import counted
+from rx90_common.description.coupling import Coupling
 from rx90_common.description.drives import LINK, DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction import FrictionSet
@@ -104,17 +106,20 @@ class _Load(NamedTuple):
         largest: eigenvalue.
         row: the one with the largest part in it.
         most: its bound.
-        cover: k that a d of 1 stabilises; None if damping does not count, 0 for a bound of d.
-        alone: what each row has by itself, by its number.
+        damps: whether it is a damping.
         weak: whether it is of a weak direction.
     """
 
     largest: float
     row: int
     most: float
-    cover: float | None
-    alone: dict[int, float]
-    weak: bool = False
+    damps: bool
+    weak: bool
+
+    @property
+    def over(self) -> float:
+        """Return the quantity in parts of its bound."""
+        return self.largest / self.most
 
 
 def plant_steps(
@@ -136,33 +141,27 @@ def plant_steps(
         requested: steps in a tick, None for as many as it needs.
     """
     rows = _rows(drives, friction, robot.max_velocity)
-    numbers = (
-        robot.lower,
-        robot.upper,
-        drives.rotor_inertia,
-        drives.turning.turns,
-        drives.turning.element_matrix,
-    )
-    elastic = drives.elasticity.elastic.tobytes()
-    link_friction = drives.elasticity.friction == LINK
     gram = _compliance(
         arm.tobytes(),
-        *(one.astype(np.float64).tobytes() for one in numbers),
-        elastic,
-        link_friction,
+        robot.lower.tobytes(),
+        robot.upper.tobytes(),
+        drives.rotor_inertia.tobytes(),
+        drives.turning.turns.tobytes(),
+        drives.elasticity.elastic.tobytes(),
+        drives.elasticity.friction == LINK,
     )
-    most = MAX_AUTOMATIC_STEPS if requested is None else requested
 
     def bear(steps: int) -> bool:
         return all(load.largest <= load.most for load in _loads(rows, gram, period / steps))
 
-    if bear(1 if requested is None else requested):
-        return 1 if requested is None else requested
+    if bear(requested or 1):
+        return requested or 1
     needed = _first(bear)
+    most = requested or MAX_AUTOMATIC_STEPS
     if needed is not None and needed <= most:
         return needed
-    loads = sorted(_loads(rows, gram, period / most), key=lambda one: one.largest / one.most)
-    raise ConfigError(_refusal(rows, gram, loads, period / most, most, requested, needed))
+    worst = max(_loads(rows, gram, period / most), key=lambda load: load.over)
+    raise ConfigError(_refusal(rows, gram, worst, most, needed))
 
 
 def _ratio(element: FrictionElement) -> float:
@@ -229,24 +228,24 @@ def _loads(rows: _Rows, gram: Array, step: float) -> Iterator[_Load]:
     d = step * rows.damping
     still = math.sqrt(8.0 * GROWTH * step)  # k whose undamped vibration grows by GROWTH
     for part, most_k, most_d in ((slice(rows.elements), 0.05, 0.5), (slice(rows.held), 0.25, 0.8)):
-        stiff = _load(k, part, gram, most_k, None)
+        stiff = _load(k, part, gram, most_k)
         yield stiff
-        yield _load(step * rows.most_damping, part, gram, most_d, 0.0)
+        yield _load(step * rows.most_damping, part, gram, most_d, damps=True)
         # up to this k the criterion lies above still + cover d
         cover = 3.2 / min(max(stiff.largest, 1e-100), most_k)
         with np.errstate(over="ignore"):  # damping that another check refuses
             bare = k - cover * d
-        yield _load(bare, part, gram, still, cover)
+        yield _load(bare, part, gram, still)
     strained = rows.ratios * step
     friction = slice(rows.elements)
-    yield _load(strained * step * rows.stiffness[friction], friction, gram, 0.5, None)._replace(
-        weak=True
-    )
-    yield _load(strained * rows.bristle_damping, friction, gram, 1.0, 0.0)._replace(weak=True)
-    yield _load(k - d / _GEAR_DAMPING, slice(rows.held, None), gram, 0.25, 1.0 / _GEAR_DAMPING)
+    yield _load(strained * step * rows.stiffness[friction], friction, gram, 0.5, weak=True)
+    yield _load(strained * rows.bristle_damping, friction, gram, 1.0, damps=True, weak=True)
+    yield _load(k - d / _GEAR_DAMPING, slice(rows.held, None), gram, 0.25)
 
 
-def _load(values: Array, part: slice, gram: Array, most: float, cover: float | None) -> _Load:
+def _load(
+    values: Array, part: slice, gram: Array, most: float, *, damps: bool = False, weak: bool = False
+) -> _Load:
     """Return the largest eigenvalue of k or d, with its bound."""
     values = np.maximum(values[part], 0.0)
     largest = float(values.max())
@@ -260,9 +259,7 @@ def _load(values: Array, part: slice, gram: Array, most: float, cover: float | N
                 row = int(np.argmax(np.abs(np.linalg.eigh(form)[1][:, -1])))
         else:  # others are negligible
             largest *= float(gram[part, part][row, row])
-    start = part.start or 0
-    alone = np.minimum(values, _LARGE) * gram.diagonal()[part]
-    return _Load(largest, row + start, most, cover, dict(enumerate(alone.tolist(), start)))
+    return _Load(largest, row + (part.start or 0), most, damps, weak)
 
 
 @lru_cache(maxsize=8)
@@ -272,7 +269,6 @@ def _compliance(
     upper: bytes,
     rotor: bytes,
     turns: bytes,
-    elements: bytes,
     elastic: bytes,
     link_friction: bool,
 ) -> Array:
@@ -285,8 +281,9 @@ def _compliance(
     inertia = np.diag(np.frombuffer(rotor))
     soft = np.frombuffer(elastic, np.bool_)
     n = len(soft)
-    coupling = np.frombuffer(turns).reshape(n, n)
-    inputs = np.frombuffer(elements).reshape(-1, n)
+    turning = Coupling(np.frombuffer(turns).reshape(n, n))
+    coupling = turning.turns
+    inputs = turning.element_matrix
     count = int(soft.sum())
     e = len(inputs)
     whole = np.zeros((n + count, n + count))
@@ -334,60 +331,26 @@ def _masses(arms: Record, bodies: Record, poses: Array, masses: Array) -> None:
         masses[k, :n, :n] = mass
 
 
-def _refusal(
-    rows: _Rows,
-    gram: Array,
-    loads: Sequence[_Load],
-    step: float,
-    most: int,
-    requested: int | None,
-    needed: int | None,
-) -> str:
-    """Return the message for a need of more than `most` steps in a tick: the worst load and accepted values.
-
-    All others that need more by themselves follow.
-    """
-    load = loads[-1]
-    over = load.largest / load.most
+def _refusal(rows: _Rows, gram: Array, load: _Load, most: int, needed: int | None) -> str:
+    """Return the message for a load that needs more than `most` steps in a tick."""
     row = load.row
-    name, size = _named(rows, load, row)
-    unit = "Nm s/rad" if load.cover == 0.0 else "Nm/rad"
-    slope = " at its steepest" if name.endswith("c2") else ""
+    unit = "Nm s/rad" if load.damps else "Nm/rad"
+    if not load.damps:
+        name = rows.names[row][0]
+        size = rows.stiffness[row]
+    elif load.weak:
+        name = rows.names[row][0].removesuffix("c0") + "c1"
+        size = rows.bristle_damping[row]
+    else:
+        name = rows.names[row][1]
+        size = rows.named_damping[row]
+    cause = ""
     if load.weak:
-        slope = f" with torques {rows.ratios[row]:.4g} times apart in both directions"
-    steps = "1 plant step in a tick bears" if most == 1 else f"{most} plant steps in a tick bear"
-    accepted = [f"up to about {size / over:.3g}"]
-    if load.weak and rows.ratios[row] > over:
-        accepted.append(f"torques up to about {rows.ratios[row] / over:.3g} times apart")
-    if load.cover and loads[-2].largest <= loads[-2].most:
-        accepted.append(
-            f"{rows.names[row][1]} from about {rows.stiffness[row] * step / load.cover:.3g}"
-        )
-    if needed is not None:
-        accepted.append(
-            f"substeps {needed}"
-            + (f", more than the {most} used without asking" if requested is None else "")
-        )
-    limits = dict[str, float]()
-    for each in loads:
-        for k, share in each.alone.items():
-            if share > each.most:
-                key, value = _named(rows, each, k)
-                limits[key] = min(value * each.most / share, limits.get(key, math.inf))
-    limits.pop(name, None)
-    others = [f"{key} up to about {limit:.3g}" for key, limit in limits.items()]
-    likewise = f"; likewise {', '.join(others)}" if others else ""
+        cause = f" with torques {rows.ratios[row]:.4g} times apart in both directions"
+    elif name.endswith("c2"):
+        cause = " at its steepest"
+    more = "" if needed is None else f", or substeps {needed}"
     return (
-        f"{name} is {size:.6g} {unit}{slope}, {over:.3g} times what {steps} on {1.0 / gram[row, row]:.3g} kg m^2; "
-        f"accepted: {', or '.join(accepted)}{likewise}"
+        f"{name} is {size:.6g} {unit}{cause}, {load.over:.3g} times what {counted(most, 'plant step')} in a tick "
+        f"can bear on {1.0 / gram[row, row]:.3g} kg m^2; accepted: up to about {size / load.over:.3g}{more}"
     )
-
-
-def _named(rows: _Rows, load: _Load, row: int) -> tuple[str, float]:
-    """Return the name of the parameter that a row has in a load, and its value."""
-    stiffness, damping = rows.names[row]
-    if load.cover != 0.0:
-        return stiffness, float(rows.stiffness[row])
-    if load.weak:
-        return stiffness.removesuffix("c0") + "c1", float(rows.bristle_damping[row])
-    return damping, float(rows.named_damping[row])

@@ -6,10 +6,11 @@ evaluations, is fast, and does not give the same bits on every machine.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from rx90_common.base.arrays import Array, Index
 from rx90_common.description.chain import RigidChain
@@ -20,11 +21,8 @@ from rx90_common.description.rotations import (
     dot,
     length,
     product,
-    quaternion_product,
     rotated,
-    rpy_quaternion,
 )
-from rx90_common.description.urdf import Placement
 from rx90_common.kernels.elementary import sines_cosines
 
 
@@ -203,32 +201,30 @@ def tip_position(chain: RigidChain, q: Array) -> Array:
 
 
 class LinkTransforms:
-    """Transforms from parent to child links, one for each joint of a list.
+    """Transforms from parent to child links, one for each joint that turns, or for each that is fixed.
+
+    Args:
+        robot: with its tool.
+        fixed: which joints.
 
     Attributes:
         links: names of parent and child.
         translation: (n, 3) m, in the axes of the parent.
     """
 
-    def __init__(self, placements: Sequence[Placement]) -> None:
-        self.links = tuple((place.parent, place.child) for place in placements)
-        self.translation = np.array([place.xyz for place in placements]).reshape(-1, 3)
-        self._still = np.array([rpy_quaternion(place.rpy) for place in placements]).reshape(-1, 4)
-        axes = np.array([place.axis for place in placements]).reshape(-1, 3)
-        half_turn = np.column_stack([axes / length(axes)[:, None], np.zeros(len(axes))])
-        self._turned = quaternion_product(self._still, half_turn)
+    def __init__(self, robot: RobotModel, *, fixed: bool) -> None:
+        places = [place for place in robot.placements if (place.name in robot.joint_names) != fixed]
+        self.links = tuple((place.parent, place.child) for place in places)
+        self.translation = np.array([place.xyz for place in places]).reshape(-1, 3)
+        self._model = robot.model
+        self._data = robot.model.createData()
 
-    def rotation(self, angle: Array) -> Array:
-        """Return the quaternions (n, 4), scalar last, with these joints at `angle`, (n,) rad; 0 for a fixed joint."""
-        sine, cosine = sines_cosines(0.5 * angle)
-        # A turn by an angle about an axis is that share of none and that share of half a turn.
-        return np.asarray(cosine[:, None] * self._still + sine[:, None] * self._turned)
-
-
-def link_transforms(robot: RobotModel) -> tuple[LinkTransforms, LinkTransforms]:
-    """Return the transforms of the moving joints, in the order of `joint_names`, and of the fixed ones."""
-    places = {place.name: place for place in robot.placements}
-    moving = [places.pop(name) for name in robot.joint_names]
-    # What is fixed turns about nothing, whatever its axis.
-    fixed = [place._replace(axis=(1.0, 0.0, 0.0)) for place in places.values()]
-    return LinkTransforms(moving), LinkTransforms(fixed)
+    def rotation(self, position: Array) -> Array:
+        """Return the quaternions (n, 4), scalar last, with the arm's joints at `position`, rad."""
+        pin.framesForwardKinematics(self._model, self._data, position)
+        turns = []
+        for parent, child in self.links:
+            before = self._data.oMf[self._model.getBodyId(parent)].rotation
+            after = self._data.oMf[self._model.getBodyId(child)].rotation
+            turns.append(pin.Quaternion(before.T @ after).coeffs())
+        return np.array(turns).reshape(-1, 4)

@@ -91,19 +91,6 @@ def rpy_quaternion(rpy: ArrayLike) -> Array:
     )
 
 
-def quaternion_product(a: Array, b: Array) -> Array:
-    """Return the products (..., 4) of quaternions a and b, scalar last: the rotation by b, then by a."""
-    (ax, ay, az, aw) = np.moveaxis(a, -1, 0)
-    (bx, by, bz, bw) = np.moveaxis(b, -1, 0)
-    parts = (
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-        aw * bw - ax * bx - ay * by - az * bz,
-    )
-    return np.stack(parts, axis=-1)
-
-
 def rpy_rotation(rpy: ArrayLike) -> Array:
     """Return the rotation (3, 3) by roll, pitch and yaw about fixed axes, (3,) rad."""
     x, y, z = np.eye(3)

@@ -244,12 +244,12 @@ def test_the_refusal_says_what_asks_for_steps(shipped: Setup) -> None:
     """Too few steps name element, value, what they bear, and the steps that would do; those then do."""
     stiff = scaled(shipped, c0=100.0)
     needed = stiff.plant().substeps
-    line = rf"friction\.joint_6\.c0 is 500000 Nm/rad, .* times what 2 plant steps.*substeps {needed}; likewise friction"
+    line = rf"friction\.joint_6\.c0 is 500000 Nm/rad, .* times what 2 plant steps.*substeps {needed}$"
     with pytest.raises(ConfigError, match=line):
         stiff.plant(2)
     assert stiff.plant(needed).substeps == needed
     assert stiff.plant(100).substeps == 100
-    with pytest.raises(ConfigError, match=r"friction\.joint_6\.c0 .* 64 plant steps .*substeps \d+, more than the 64"):
+    with pytest.raises(ConfigError, match=r"friction\.joint_6\.c0 .* 64 plant steps .*substeps \d+$"):
         scaled(shipped, c0=2e4).plant()
     with pytest.raises(ConfigError, match=r"friction\.joint_6\.c0 is 5e\+12 Nm/rad"):
         scaled(shipped, c0=1e9).plant(1000)
@@ -283,17 +283,16 @@ def test_a_weak_direction_takes_more_steps(shipped: Setup, weaker: str) -> None:
     assert replace(shipped, friction=friction).plant().substeps == pytest.approx(second, abs=1)
 
 
-def test_a_refusal_names_all_that_ask_for_more(shipped: Setup) -> None:
-    """With less than the limits that it names in place of the values the set is taken at once."""
-    hard = {f"friction.joint_{k}.c0": 1e11 for k in (2, 4, 6)} | {"friction.joint_3.c1": 1e9}
+def test_the_refusal_of_a_weak_direction_says_how_weak_it_is(shipped: Setup) -> None:
+    """With the value that it accepts in place of the one that it names the set is taken at once."""
     weak = {f"friction.joint_5.{name}_negative": 1e-9 for name in ("tau_c", "tau_s")}
-    with pytest.raises(ConfigError, match=r"joint_5\.c\d is .* with torques \S+ times apart in both directions, "):
-        with_parameters(shipped, weak).plant()
-    with pytest.raises(ConfigError) as refused:
-        with_parameters(shipped, hard | weak).plant()
-    named = dict(re.findall(r"(friction\.\S+) (?:is .*? )?up to about ([\d.e+-]+)", str(refused.value)))
-    assert {*hard, "friction.joint_5.c0", "friction.joint_5.c1"} <= set(named)
-    with_parameters(shipped, weak | {name: 0.3 * float(limit) for name, limit in named.items()}).plant()
+    for _ in range(2):
+        with pytest.raises(ConfigError, match=r"with torques \S+ times apart in both directions") as refused:
+            with_parameters(shipped, weak).plant()
+        told = re.search(r"^(friction\.joint_5\.c[01]) is .* up to about (\S+)$", str(refused.value))
+        assert told is not None
+        weak[told[1]] = 0.9 * float(told[2])
+    with_parameters(shipped, weak).plant()
 
 
 def test_parts_count_where_they_stiffen(shipped: Setup) -> None:
@@ -317,7 +316,7 @@ def test_gears_that_ring_above_the_step_take_more_or_are_refused(shipped: Setup)
     fastest = math.sqrt((1e4 * SOFT / reduced).max())
     assert fastest * shipped.rates.period / stiff < 0.75  # in this pose, each gear alone
     assert elastic(shipped, 1e4 * SOFT, 2e-4 * 1e4 * SOFT).plant().substeps == 1
-    with pytest.raises(ConfigError, match=r"elasticity\.stiffness\[\d\] .*elasticity\.damping\[\d\] from about"):
+    with pytest.raises(ConfigError, match=r"drives\.elasticity\.stiffness\[\d\] is .* up to about"):
         elastic(shipped, 1e9 * SOFT).plant()
 
 
