@@ -10,12 +10,12 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores
 
 from rx90_common.bags.joint_messages import SeriesBuilder
 from rx90_common.bags.joint_series import JointSeries
@@ -26,6 +26,7 @@ from rx90_common.bags.topics import EFFORT_UNIT, JOINT_STATE, absolute
 from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import BagError, ConfigError, located
 from rx90_common.base.quoting import listed, plain, quoted
+from rx90_common.exchange.message_types import typestore
 
 __all__ = ["BagReader", "BagTopic", "JointSeries", "read_bag", "read_joint_states"]
 
@@ -33,7 +34,6 @@ Progress = Callable[[int, int], None]
 """Called with how much is done, and of how much."""
 FILE = "metadata.yaml"
 _STEP = 8192  # messages between two reports of progress
-_typestore = cache(get_typestore)
 
 
 def silent(_done: int, _total: int) -> None:
@@ -126,7 +126,7 @@ class BagReader:
 
     def deserialize(self, topic: BagTopic, data: bytes) -> Any:
         """Return the message as rosbags builds it."""
-        store = _typestore(Stores.ROS1_NOETIC if topic.is_ros1 else Stores.ROS2_JAZZY)
+        store = typestore(Stores.ROS1_NOETIC if topic.is_ros1 else Stores.ROS2_JAZZY)
         if topic.msgtype not in store.fielddefs:
             raise BagError(
                 f"{plain(topic.name)} is {plain(topic.msgtype)}, which is not known here"

@@ -10,7 +10,6 @@ import os
 import shutil
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import cache
 from itertools import chain
 from mmap import mmap
 from pathlib import Path
@@ -28,7 +27,6 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
-from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
@@ -37,6 +35,7 @@ from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError, check_
 from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.cdr import JointStateCodec
+from rx90_common.exchange.message_types import typestore
 from rx90_common.process.files import hidden_folder
 
 _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
@@ -107,12 +106,6 @@ class _McapBatches(McapWriter):
                 int.from_bytes(content[_SUMMARY_BEGIN], "little") : _SUMMARY_CRC.start
             ]
             content[_SUMMARY_CRC] = crc32(summary).to_bytes(4, "little")
-
-
-@cache
-def typestore() -> Typestore:
-    """Return the message types of ROS 2 Jazzy's common interfaces."""
-    return get_typestore(Stores.ROS2_JAZZY)
 
 
 def offered_qos(

@@ -29,7 +29,7 @@ from rclpy.qos import (
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 
-from rx90_common.base.errors import ConfigError, ExchangeError
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import counted, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.pacing import error_log
@@ -112,7 +112,6 @@ def subscribe(
     topic: str,
     callback: Callable[[Any], object],
     qos: QoSProfile,
-    check: Callable[[bytes], None] | None = None,
 ) -> None:
     """Call `callback` with each message of type `kind`, on the executor's thread; report an unreadable one in a line.
 
@@ -124,24 +123,14 @@ def subscribe(
         topic: relative or absolute name.
         callback: called with a message.
         qos: of the subscription, which the node's parameters may change.
-        check: reads the bytes before the middleware does and raises ExchangeError if they are invalid. For
-            types with sequences, about whose lengths the middleware itself prints to standard error.
     """
 
     def take(raw: bytes) -> None:
         try:
-            if check is not None:
-                check(raw)
             message = deserialize_message(raw, kind)
-        except (
-            ExchangeError,
-            RuntimeError,
-        ) as error:  # the middleware's text names a place in its source
-            type_name = f"{kind.__module__.split('.')[0]}/{kind.__name__}"
+        except RuntimeError:  # the middleware's text names a place in its source
             wrong = (
-                error
-                if isinstance(error, ExchangeError)
-                else f"{counted(len(raw), 'byte')}, no {type_name}"
+                f"{counted(len(raw), 'byte')}, no {kind.__module__.split('.')[0]}/{kind.__name__}"
             )
             log.say("bytes", f"{subscription.topic_name}: {wrong}; the message is ignored")
             return

@@ -68,7 +68,6 @@ from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.node.simulation_mode import SimulationMode
 from rx90_controller.servo.events import TorqueSwitch
-from rx90_controller.trajectory.points import check_trajectory_bytes
 from rx90_controller.trajectory.request import Constraints, GoalOptions, GoalTolerances
 from rx90_controller.trajectory.stream import from_message
 
@@ -202,17 +201,8 @@ class Control:
             SimulationMode(node, self._on_mode)
         # Before that of the trajectories: of two that wait the executor takes the first one first.
         correction = f"~/{COMMANDED_CORRECTION}"
-        subscribe(
-            node,
-            JointTrajectory,
-            correction,
-            loop.receive_correction,
-            TRAJECTORY_QOS,
-            check_trajectory_bytes,
-        )
-        subscribe(
-            node, JointTrajectory, _TRAJECTORY, loop.receive, TRAJECTORY_QOS, check_trajectory_bytes
-        )
+        subscribe(node, JointTrajectory, correction, loop.receive_correction, TRAJECTORY_QOS)
+        subscribe(node, JointTrajectory, _TRAJECTORY, loop.receive, TRAJECTORY_QOS)
         for kind, source in ((JointState, _SET_POINTS), (Float64MultiArray, _COMMANDS)):
             subscribe(node, kind, source, partial(self._on_set_point, source), TRAJECTORY_QOS)
 

@@ -26,11 +26,11 @@ from rx90_common.bags.writing import (
     named_at_the_end,
     offered_qos,
     string_message,
-    typestore,
     write_joint_states,
 )
 from rx90_common.base.errors import FAILED, REFUSED, BagError, BagWriteError
 from rx90_common.exchange.cdr import JointStateCodec
+from rx90_common.exchange.message_types import typestore
 
 
 class ChecksummedWriter(McapWriter):
