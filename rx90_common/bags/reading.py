@@ -72,7 +72,7 @@ class BagReader:
         if is_table(self.path):
             from rx90_common.bags.logs import read_log  # pyarrow takes a while
 
-            self.table = read_log(self.path, self._mapping).series
+            self.table = read_log(self.path, self._mapping)
             self.effort_units = {series.topic: series.effort_unit for series in self.table}
         with ExitStack() as stack:
             stack.enter_context(located(plain(self.path), BagError))

@@ -138,12 +138,6 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     _add_topics(parser, "all")
     parser.add_argument(
-        "--from", dest="start", metavar="S", help="leave out stamps before this time in s"
-    )
-    parser.add_argument(
-        "--to", dest="end", metavar="S", help="leave out stamps after this time in s"
-    )
-    parser.add_argument(
         "--common-range",
         action="store_true",
         help="stamps before or after what both bags have make no difference",
@@ -168,8 +162,6 @@ def _compare(args: argparse.Namespace) -> int:
 
     scope = Scope(
         topics=tuple(dict.fromkeys(args.topics)) if args.topics else None,
-        start_ns=None if args.start is None else _time("--from", args.start),
-        end_ns=None if args.end is None else _time("--to", args.end),
         common_range=args.common_range,
         align=alignment(args.align),
     )
@@ -207,24 +199,18 @@ def _path(args: argparse.Namespace) -> None:
 
 
 def alignment(text: str) -> int | str:
-    """Return what --align says, as `Scope` takes it."""
+    """Return what --align says, as `Scope` takes it; times in ns, exactly, which floating point would spoil."""
     from rx90_common.bags.recorded import START, TRAJECTORY
 
-    return (
-        text
-        if text in (START, TRAJECTORY)
-        else _time("--align", text, f"{START}, {TRAJECTORY}, or a time in s")
-    )
-
-
-def _time(option: str, text: str, accepted: str = "a time in s, e.g. 1.25") -> int:
-    """Return a time in ns without the detour over floating point, which spoils stamps of the wall clock."""
+    if text in (START, TRAJECTORY):
+        return text
     try:
         if abs(time := Decimal(text)) <= _MAX_STAMP:  # raises for what is no number
             return int(time * NANOSECONDS)
     except (InvalidOperation, ValueError):
         pass
-    raise BagError(f"{option} is {quoted(text)}; accepted: {accepted}, up to {_MAX_STAMP:,} s")
+    accepted = f"{START}, {TRAJECTORY}, or a time in s, up to {_MAX_STAMP:,} s"
+    raise BagError(f"--align is {quoted(text)}; accepted: {accepted}")
 
 
 def _add_plot(parser: argparse.ArgumentParser) -> None:
@@ -297,9 +283,6 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help="log to read")
     parser.add_argument("bag", type=new_folder, metavar="BAG", help="bag to make; must not exist")
     _add_signals(parser)
-    parser.add_argument(
-        "--skip-corrupt", action="store_true", help="leave out damaged rows, and say which"
-    )
 
 
 def _import(args: argparse.Namespace) -> None:
@@ -307,12 +290,10 @@ def _import(args: argparse.Namespace) -> None:
     from rx90_common.bags.logs import read_log
     from rx90_common.bags.writing import write_joint_states
 
-    log = read_log(args.log, _signals(args), skip_corrupt=args.skip_corrupt)
-    write_joint_states(args.bag, log.series)
-    for series in log.series:
+    log = read_log(args.log, _signals(args))
+    write_joint_states(args.bag, log)
+    for series in log:
         print(f"{plain(series.topic)}: {counted(len(series.stamp_ns), 'message')}")
-    if log.corrupt:
-        print(f"left out: {log.corrupt}")
     print(f"bag: {plain(args.bag)}")
 
 
