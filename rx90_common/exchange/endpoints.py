@@ -1,9 +1,4 @@
-"""Publishers and subscriptions of nodes: quality of service, unreadable messages, waits for subscribers.
-
-Depth, reliability and durability can be chosen by parameters `qos_overrides./joint_states.publisher.depth` and so on,
-as in rclcpp. History cannot be chosen: a publisher that keeps all stops the tick, for as long as the lease of a reader
-that was killed.
-"""
+"""Publishers and subscriptions of nodes: quality of service, unreadable messages, waits for subscribers."""
 
 from __future__ import annotations
 
@@ -22,25 +17,15 @@ from rclpy.publisher import Publisher
 from rclpy.qos import (
     DurabilityPolicy,
     QoSCompatibility,
-    QoSPolicyKind,
     QoSProfile,
     qos_check_compatible,
 )
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 
-from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import counted, plain, quoted
+from rx90_common.base.quoting import counted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.pacing import error_log
 
-PREFIX: Final = "qos_overrides."
-_MOST = 100_000  # messages
-_ACCEPTED = {
-    QoSPolicyKind.DEPTH: (range(1, _MOST + 1), f"a whole number in [1, {_MOST}]"),
-    QoSPolicyKind.RELIABILITY: (("reliable", "best_effort"), "reliable, best_effort"),
-    QoSPolicyKind.DURABILITY: (("volatile", "transient_local"), "volatile, transient_local"),
-}
 _LOOK = 0.05  # s between two looks at the graph
 _SETTLED_LOOKS = 10
 _SLICE = Duration(nanoseconds=50_000_000)
@@ -69,43 +54,6 @@ def ros_time(nanoseconds: int) -> Time:
     return Time(sec=seconds, nanosec=rest)
 
 
-def is_given_alone(node: Node, name: str) -> bool:
-    """Return whether a parameter is there because it was given, and has not been declared with a description."""
-    return node.has_parameter(name) and not node.describe_parameter(name).description
-
-
-def _overridable(node: Node, topic: str, entity: str) -> QoSOverridingOptions:
-    """Return the options with which rclpy declares and applies the parameters of a topic's "publisher" or such."""
-    for policy, (values, accepted) in _ACCEPTED.items():
-        name = f"{PREFIX}{node.resolve_topic_name(topic)}.{entity}.{policy.name.lower()}"
-        if is_given_alone(node, name):  # rclpy's own errors name no parameter
-            value = node.get_parameter(name).value
-            if isinstance(value, bool) or value not in values:
-                raise ConfigError(
-                    f"parameter {plain(name)} is {quoted(value)}; accepted: {accepted}"
-                )
-            node.undeclare_parameter(name)  # rclpy declares it again, with the value that was given
-    return QoSOverridingOptions(list(_ACCEPTED))
-
-
-def overridable_topics(node: Node) -> str:
-    """Return, for a message, the parameters that can be chosen, once the node has all its topics."""
-    names = [name for name in node.get_parameters_by_prefix("") if name.startswith(PREFIX)]
-    known = {
-        name.removeprefix(PREFIX).rpartition(".")[0]
-        for name in names
-        if not is_given_alone(node, name)
-    }
-    return f"{', '.join(policy.name.lower() for policy in _ACCEPTED)} of {', '.join(sorted(known))}"
-
-
-def publish(node: Node, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
-    """Make a publisher whose quality of service the node's parameters may change."""
-    return node.create_publisher(
-        kind, topic, qos, qos_overriding_options=_overridable(node, topic, "publisher")
-    )
-
-
 def subscribe(
     node: Node,
     kind: Any,
@@ -122,7 +70,7 @@ def subscribe(
         kind: class of the messages.
         topic: relative or absolute name.
         callback: called with a message.
-        qos: of the subscription, which the node's parameters may change.
+        qos: of the subscription.
     """
 
     def take(raw: bytes) -> None:
@@ -137,10 +85,7 @@ def subscribe(
         callback(message)
 
     log = error_log(node)
-    overrides = _overridable(node, topic, "subscription")
-    subscription = node.create_subscription(
-        kind, topic, take, qos, raw=True, qos_overriding_options=overrides
-    )
+    subscription = node.create_subscription(kind, topic, take, qos, raw=True)
 
 
 class ManualCallbackGroup(CallbackGroup):

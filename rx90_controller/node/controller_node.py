@@ -32,7 +32,6 @@ from rx90_common.exchange.endpoints import (
     REQUEST_QOS,
     STATE_QOS,
     TRAJECTORY_QOS,
-    publish,
     ros_time,
     subscribe,
     wait_until_matched,
@@ -131,7 +130,7 @@ class Control:
         )
 
         def topic(name: str) -> Publisher:
-            return publish(node, JointState, f"~/{name}", STATE_QOS)
+            return node.create_publisher(JointState, f"~/{name}", STATE_QOS)
 
         # The arrays are always the same, brought up to date by a call of the same method.
         codec = JointStateCodec(cs7b.joint_names)

@@ -20,7 +20,7 @@ from rx90_common.base.rates import Rates, ticks_per
 from rx90_common.description.kinematics import link_transforms
 from rx90_common.description.robot import RobotModel
 from rx90_common.exchange.cdr import JointStateCodec, TransformCodec
-from rx90_common.exchange.endpoints import CLOCK_QOS, LATCHED_QOS, STATE_QOS, publish, ros_time
+from rx90_common.exchange.endpoints import CLOCK_QOS, LATCHED_QOS, STATE_QOS, ros_time
 from rx90_common.exchange.topics import MAX_DISPLAY_RTF, SAMPLED, SAMPLED_RATE
 from rx90_common.process.requirements import missing_module
 from rx90_sim.node.parameters import SimulationParameters
@@ -165,14 +165,14 @@ class Publications:
         self._encode_friction = JointStateCodec(plant.friction.names).encoder(
             *plant.friction_states()
         )
-        self._joints = publish(node, JointState, "joint_states", STATE_QOS)
-        self._friction = publish(node, JointState, "friction_states", STATE_QOS)
+        self._joints = node.create_publisher(JointState, "joint_states", STATE_QOS)
+        self._friction = node.create_publisher(JointState, "friction_states", STATE_QOS)
         # the newest, as it was sent; empty: not sent
         self._joint_sample = self._friction_sample = b""
         encode = (self._encode_joints, self._encode_friction)
         self._sampled = SampledStates(node, plant, rates, encode)
         self._time = Clock()
-        self._clock = publish(node, Clock, "/clock", CLOCK_QOS)
+        self._clock = node.create_publisher(Clock, "/clock", CLOCK_QOS)
         own = (self._joints, self._friction, self._clock, *self._sampled.publishers)
         self.publishers = own if self._transforms is None else (*own, self._transforms.publisher)
 
