@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from backports import zstd
 from numpy.typing import NDArray
 
 from rx90_common.base.errors import BagError, Rx90Error
@@ -26,7 +25,7 @@ class DamagedError(BagError):
 
 
 @contextmanager
-def library_errors(where: str = "") -> Iterator[None]:
+def library_errors() -> Iterator[None]:
     """Make one BagError of whatever a library raises for a file that it cannot read."""
     try:
         yield
@@ -36,7 +35,7 @@ def library_errors(where: str = "") -> Iterator[None]:
         if isinstance(error, OSError) and error.strerror:
             raise BagError(f"cannot be read ({error.strerror})") from error
         text = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
-        raise DamagedError(plain(where + text, 300)) from error
+        raise DamagedError(plain(text, 300)) from error
 
 
 def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -51,9 +50,3 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
         np.load(path, allow_pickle=False) as content,
     ):
         return {name: values for name, values in content.items() if isinstance(values, np.ndarray)}
-
-
-def unpack_message(content: bytes) -> bytes:
-    """Return a message that is compressed."""
-    with library_errors("a compressed message: "):
-        return zstd.decompress(content)

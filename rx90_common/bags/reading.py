@@ -15,11 +15,12 @@ from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from backports import zstd
 from rosbags.typesys import Stores
 
 from rx90_common.bags.joint_messages import SeriesBuilder
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.limits import ZSTD_MAGIC, DamagedError, library_errors, unpack_message
+from rx90_common.bags.limits import ZSTD_MAGIC, DamagedError, library_errors
 from rx90_common.bags.mapping import LogMapping, is_table
 from rx90_common.bags.storage import ACCEPTED, BagTopic, StorageReader, open_storage, topic_of
 from rx90_common.bags.topics import EFFORT_UNIT, JOINT_STATE, absolute
@@ -116,7 +117,7 @@ class BagReader:
                 # To rosbags no connections are all of them.
                 for connection, log_ns, data in reader.messages(connections) if connections else ():
                     read += 1
-                    message = unpack_message(data) if data.startswith(ZSTD_MAGIC) else data
+                    message = zstd.decompress(data) if data.startswith(ZSTD_MAGIC) else data
                     yield by_id[connection.id], log_ns, message
                 expected = sum(connection.msgcount for connection in connections)
                 if read != expected:

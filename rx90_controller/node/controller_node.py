@@ -40,7 +40,7 @@ from rx90_common.exchange.endpoints import (
 from rx90_common.exchange.lifecycle import Diagnostics, ManagedNode, started
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.parameters import nested
-from rx90_common.exchange.ros_start import missing_control_msgs, missing_controller_manager_msgs
+from rx90_common.exchange.ros_start import missing_messages
 from rx90_common.exchange.topics import (
     COMMANDED_CORRECTION,
     CORRECTION,
@@ -171,14 +171,17 @@ class Control:
             node,
             "client_interfaces",
             "the action follow_joint_trajectory is",
-            missing_control_msgs(),
+            missing_messages("control_msgs"),
         )
         self.clients: ClientInterfaces | None = None
         if interfaces is not None:
             self.clients = interfaces.ClientInterfaces(node, loop, cs7b, state_ticks, channel)
         manager = parameters.controller_manager
         if manager and (services := import_optional(
-            node, "manager_services", "the services of a controller_manager are", missing_controller_manager_msgs()
+            node,
+            "manager_services",
+            "the services of a controller_manager are",
+            missing_messages("controller_manager_msgs"),
         )):  # fmt: skip
             services.ManagerServices(
                 node, manager, loop, cs7b.joint_names, name, (rates.position_hz, rates.base_hz)

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from rx90_common.bags.recorder.stream import TopicCount
 
 _MAX_STAMP = 4_294_967_296  # s: stamps count so far, and two of them do not overflow 64 bits of ns
-_KINDS = ("csv", "parquet", "npz")
 # What several verbs have in common.
 _BAG: dict[str, Any] = {"metavar": "BAG", "help": "bag: folder, .mcap, .db3 or ROS 1 .bag file"}
 _NOTHING_WRITTEN = "nothing was written"
@@ -248,28 +247,24 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted=_NOTHING_WRITTEN)
     parser.add_argument("bag", type=Path, **_BAG)
     _add_signals(parser)
-    text = "FILE.csv, .parquet or .npz of one topic, or a folder; must not exist"
+    text = "FILE.csv or .parquet of one topic, or a folder; must not exist"
     add_output(parser, new_folder, text, metavar="FILE|FOLDER", required=True)
     _add_topics(parser, "all")
-    parser.add_argument(
-        "--format", choices=_KINDS, help="make a folder of such files (the suffix, else csv)"
-    )
 
 
 def _export(args: argparse.Namespace) -> None:
-    """Write joint states of a bag as tables: CSV, Parquet, or NPZ with names that MATLAB takes.
+    """Write joint states of a bag as tables: CSV or Parquet.
 
-    The suffix of --output says the format; without one it is a folder with a file for each topic. Every number keeps
-    all its bits: `rx90 bag import` makes an equal bag of exported CSV files.
+    The suffix of --output says the format; without one it is a folder with a CSV file for each topic. Every number
+    keeps all its bits: `rx90 bag import` makes an equal bag of exported CSV files.
     """
     from rx90_common.bags.exporting import export_bag
     from rx90_emulator.cli.options import progress_bar
 
-    kind = None if args.format is None else f".{args.format}"
     mapping = _signals(args)
     with progress_bar("export") as progress:
         topics = export_bag(
-            args.bag, args.output, topics=args.topics, kind=kind, progress=progress, mapping=mapping
+            args.bag, args.output, topics=args.topics, progress=progress, mapping=mapping
         )
     for topic, count in topics.items():
         print(f"{plain(topic)}: {counted(count, 'message')}")
@@ -332,7 +327,7 @@ _VERBS = (
     (_add_compare, _compare, "compare two bags; exit 0 same, 1 differs, 2 cannot be compared"),
     (_add_path, _path, "print how far the tip was from the path of its set-points"),
     (_add_plot, _plot, "draw one bag, or two over each other, as a page"),
-    (_add_export, _export, "write a bag as CSV, Parquet or NPZ"),
+    (_add_export, _export, "write a bag as CSV or Parquet"),
     (_add_import, _import, "make a bag from a CSV log; a file says what its columns hold"),
     (_add_info, _info, "summarise a bag"),
 )

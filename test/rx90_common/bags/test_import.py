@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import scipy.io
 from bag_making import joint_state, write_ros2
 from processes import files_up_to
 from rosbags.highlevel import AnyReader
@@ -245,8 +244,6 @@ def test_efforts_in_amperes_stay_amperes(tmp_path: Path, capsys: pytest.CaptureF
         tables, again = folder / "tables", folder / "again"
         export_bag(folder / "bag", tables)
         assert (tables / "joint_states.csv").read_text().splitlines()[0] == f"time [s],a {label},b {label}"
-        export_bag(folder / "bag", folder / "a.npz")
-        assert f"effort_{label[8:-1]}" in np.load(folder / "a.npz")
         signals = write(folder / "tables.yaml", EXPORTED.replace("position", "effort").replace("rad", label[8:-1]))
         words = ["import", str(tables / "joint_states.csv"), str(again), "--signals", str(signals)]
         assert run("rx90 bag", words) == 0
@@ -335,22 +332,7 @@ def test_tables_are_what_others_read(bag: Path, tmp_path: Path) -> None:
     assert frame[names].to_numpy().tobytes() == series.position.tobytes()
 
 
-def test_npz_arrays_go_to_matlab(bag: Path, tmp_path: Path) -> None:
-    """Arrays of a topic stand in an NPZ file under names that MATLAB takes; savemat and loadmat give its numbers."""
-    export_bag(bag, tmp_path / "out", kind=".npz")
-    with np.load(tmp_path / "out" / "friction_states.npz") as arrays:
-        assert set(arrays) == {"names", "stamp_ns", "time_s", "bristle_deflection_rad"}
-    with np.load(tmp_path / "out" / "joint_states.npz") as arrays:
-        scipy.io.savemat(tmp_path / "all.mat", dict(arrays))
-    loaded = scipy.io.loadmat(tmp_path / "all.mat")
-    series = read_bag(bag)["joint_states"]
-    assert series.velocity is not None
-    assert loaded["velocity_rad_s"].tobytes(order="C") == series.velocity.tobytes()
-    assert loaded["stamp_ns"].ravel().tolist() == series.stamp_ns.tolist()
-    assert [str(name).strip() for name in loaded["names"]] == list(NAMES)
-
-
-@pytest.mark.parametrize("name", ["all.npz", "one.csv", "one.parquet", "folder"])
+@pytest.mark.parametrize("name", ["one.csv", "one.parquet", "folder"])
 def test_a_full_disk_leaves_nothing(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
     """Where a table has no room, here by a limit of the size of files: 3, one line, nothing left, and no bus error."""
     if name.endswith("parquet"):

@@ -48,7 +48,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("plot a --topic joints", "no topic /joints; JointState topics: /joint_states"),
         ("plot a --output mine.html", "mine.html exists; accepted: another name, or --force"),
         ("export more --output x.csv", "x.csv would hold /joint_states, /motor_states; accepted: one topic"),
-        ("export a --output x.mat", "x.mat: the suffix says the format; accepted: .csv, .parquet, .npz, or none"),
+        ("export a --output x.mat", "x.mat: the suffix says the format; accepted: .csv, .parquet, or none"),
         ("record -o taken", "taken exists; accepted: a new name"),
         ("record -o new 'joint states'", "topic 'joint states': no name that ROS accepts"),
         ("record -o new a /a", "topic /a stands twice; accepted: each topic once"),
