@@ -16,7 +16,7 @@ from rx90_common.bags.reading import JointBag, read_joint_bag
 from rx90_common.bags.recorded import START, TRAJECTORY, time_shift
 from rx90_common.bags.tolerance import Tolerances
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import BagError, check_type
+from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 
@@ -170,7 +170,6 @@ def compare_bags(
     """
     tolerances = tolerances or Tolerances()
     scope = scope or Scope()
-    check_type(tolerances=(tolerances, Tolerances), scope=(scope, Scope))
     first = read_joint_bag(path_a, scope.topics, mapping=mapping, all_there=True)
     second = read_joint_bag(path_b, scope.topics, mapping=mapping, all_there=True)
     shift = time_shift(scope.align, first, second)
@@ -206,12 +205,6 @@ def compare_series(
     """Compare two series as `compare_bags` does, aligned on stamps and joint names."""
     tolerances = tolerances or Tolerances()
     scope = scope or Scope()
-    check_type(
-        a=(a, JointSeries),
-        b=(b, JointSeries),
-        tolerances=(tolerances, Tolerances),
-        scope=(scope, Scope),
-    )
     joints = tuple(name for name in a.names if name in b.names)
     if not joints:
         return _incomparable(

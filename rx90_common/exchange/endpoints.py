@@ -10,15 +10,13 @@ from typing import Any, Final
 
 from builtin_interfaces.msg import Time
 from rclpy.callback_groups import CallbackGroup
-from rclpy.duration import Duration, Infinite
+from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import (
     DurabilityPolicy,
-    QoSCompatibility,
     QoSProfile,
-    qos_check_compatible,
 )
 from rclpy.serialization import deserialize_message
 
@@ -28,6 +26,7 @@ from rx90_common.exchange.pacing import error_log
 
 _LOOK = 0.05  # s between two looks at the graph
 _SETTLED_LOOKS = 10
+_UNMATCHED_LOOKS = 40
 _SLICE = Duration(nanoseconds=50_000_000)
 _DELIVERY_TIMEOUT = 4.0  # s; shorter than the wait for the end of a ticking thread
 _SHARE = 0.75  # of the publishers' history that is sent before the next wait
@@ -107,35 +106,17 @@ def never_called(_message: object) -> None:
     """Stand for the callback of such a subscription."""
 
 
-def fitting_subscriptions(node: Node, publisher: Publisher) -> int:
-    """Return how many subscriptions the graph knows of that a publisher's quality of service suits."""
-    offered = publisher.qos_profile
-    fitting = 0
-    for info in node.get_subscriptions_info_by_topic(publisher.topic_name):
-        requested = info.qos_profile
-        # If no times are required, the graph reports infinite ones, which the check would compare.
-        times = {
-            name: getattr(requested, name) for name in ("deadline", "liveliness_lease_duration")
-        }
-        times = {name: time for name, time in times.items() if time < Infinite}
-        profile = QoSProfile(
-            depth=1, reliability=requested.reliability, durability=requested.durability, **times
-        )
-        fitting += qos_check_compatible(offered, profile)[0] != QoSCompatibility.ERROR
-    return fitting
-
-
 def wait_until_matched(
     node: Node,
     publishers: Sequence[Publisher],
     attempts: int,
     stop: Callable[[], bool] = lambda: False,
 ) -> bool:
-    """Wait until every subscription in the graph is matched with our publishers; return whether it is.
+    """Wait until every subscription in the graph is matched with our publishers; return whether that has settled.
 
     A recorder that was started before then gets the first message too. The graph discovers its members one by one, so
-    it must also have been constant for half a second. A subscription with an incompatible quality of service is
-    never matched, and not waited for.
+    it must also have been constant for half a second; or for two seconds, if subscriptions are not matched, as those
+    with an incompatible quality of service never are.
 
     Args:
         node: the publishers' node.
@@ -144,18 +125,20 @@ def wait_until_matched(
         stop: returns whether to stop waiting.
     """
     pause = threading.Event()
-    before = list[int]()
+    before: list[tuple[int, int]] = []
     quiet = 0
     for _ in range(attempts):
         if stop():
             break
-        known = [fitting_subscriptions(node, publisher) for publisher in publishers]
-        have = [publisher.get_subscription_count() for publisher in publishers]
-        complete = all(h >= k for h, k in zip(have, known, strict=True))
-        quiet = quiet + 1 if complete and have == before else 0
-        if quiet >= _SETTLED_LOOKS:
+        counts = [
+            (node.count_subscribers(publisher.topic_name), publisher.get_subscription_count())
+            for publisher in publishers
+        ]
+        quiet = quiet + 1 if counts == before else 0
+        is_complete = all(matched >= known for known, matched in counts)
+        if quiet >= (_SETTLED_LOOKS if is_complete else _UNMATCHED_LOOKS):
             return True
-        before = have
+        before = counts
         pause.wait(_LOOK)
     return False
 
