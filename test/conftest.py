@@ -86,18 +86,18 @@ def shipped_files() -> RobotFiles:
 @pytest.fixture(scope="session")
 def needs_action() -> None:
     """Skip where control_msgs is not built, which a compiler is needed for; fail where packages are required."""
-    from rx90_common.exchange.ros_start import missing_control_msgs
+    from rx90_common.exchange.ros_start import missing_messages
 
-    if line := missing_control_msgs():
+    if line := missing_messages("control_msgs"):
         give_up(line)
 
 
 @pytest.fixture(scope="session")
 def needs_manager() -> None:
     """Skip where controller_manager_msgs is not built; fail where packages are required."""
-    from rx90_common.exchange.ros_start import missing_controller_manager_msgs
+    from rx90_common.exchange.ros_start import missing_messages
 
-    if line := missing_controller_manager_msgs():
+    if line := missing_messages("controller_manager_msgs"):
         give_up(line)
 
 

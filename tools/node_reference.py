@@ -4,7 +4,7 @@
     python -m tools.node_reference --json     # prints what the nodes have: parameters, topics, services
 
 The nodes are started in this process, on a DDS domain of their own, and asked; nothing ticks. A page says where a table
-belongs by two comments, `<!-- parameters of NODE -->` or `<!-- quality of service -->` and `<!-- end -->`.
+belongs by two comments, `<!-- parameters of NODE -->` and `<!-- end -->`.
 """
 
 from __future__ import annotations
@@ -20,11 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 PAGE = Path(__file__).resolve().parent.parent / "docs/reference/parameters.md"
-_PLACE = re.compile(
-    r"(<!-- (parameters of (\w+)|quality of service) -->\n)(.*?)(<!-- end -->)", re.DOTALL
-)
-_QOS = "qos_overrides."
-_POLICIES = ("depth", "reliability", "durability")
+_PLACE = re.compile(r"(<!-- parameters of (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 _JOINT = re.compile(r"\bjoint_[1-6]\b")
 
 
@@ -110,8 +106,7 @@ def with_tables(page: str, nodes: Sequence[NodeReference]) -> str:
     before: list[str] = []  # what an earlier table has
 
     def written(place: re.Match[str]) -> str:
-        table = _parameter_table(by_name[place[3]], before) if place[3] else _qos_table(nodes)
-        return f"{place[1]}{table}\n{place[5]}"
+        return f"{place[1]}{_parameter_table(by_name[place[2]], before)}\n{place[4]}"
 
     return _PLACE.sub(written, page)
 
@@ -119,33 +114,13 @@ def with_tables(page: str, nodes: Sequence[NodeReference]) -> str:
 def _parameter_table(node: NodeReference, before: list[str]) -> str:
     rows: list[str] = []
     for each in node.parameters:
-        if not each.name.startswith(_QOS):
-            name, about = (_JOINT.sub("<joint>", text) for text in (each.name, each.about))
-            mark = "\\*" if each.live else ""
-            row = f"| `{name}`{mark} | `{_text(each.default)}` | {each.accepted} | {_cell(about)} |"
-            if row not in rows and row not in before:  # the same of each joint is one row
-                rows.append(row)
+        name, about = (_JOINT.sub("<joint>", text) for text in (each.name, each.about))
+        mark = "\\*" if each.live else ""
+        row = f"| `{name}`{mark} | `{_text(each.default)}` | {each.accepted} | {_cell(about)} |"
+        if row not in rows and row not in before:  # the same of each joint is one row
+            rows.append(row)
     before += rows
     return "\n".join(["| parameter | default | accepted | meaning |", "|---|---|---|---|", *rows])
-
-
-def _qos_table(nodes: Sequence[NodeReference]) -> str:
-    rows = ["| node | topics | depth, reliability, durability |", "|---|---|---|"]
-    for node in nodes:
-        values = {
-            each.name.removeprefix(_QOS): each.default
-            for each in node.parameters
-            if each.name.startswith(_QOS)
-        }
-        topics_of: dict[str, list[str]] = {}
-        for topic in dict.fromkeys(name.rpartition(".")[0] for name in values):
-            chosen = ", ".join(str(values[f"{topic}.{policy}"]) for policy in _POLICIES)
-            topics_of.setdefault(chosen, []).append(f"`{topic}`")
-        rows += [
-            f"| `{node.name}` | {', '.join(topics)} | {chosen} |"
-            for chosen, topics in topics_of.items()
-        ]
-    return "\n".join(rows)
 
 
 def _text(value: Any) -> str:

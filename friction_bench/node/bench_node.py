@@ -26,7 +26,7 @@ from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.quoting import one_line, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.share import SHIPPED_RIG, resolve_config
-from rx90_common.exchange.endpoints import REQUEST_QOS, publish, ros_time
+from rx90_common.exchange.endpoints import REQUEST_QOS, ros_time
 from rx90_common.exchange.lifecycle import Diagnostics
 from rx90_common.exchange.lifecycle import spin as spin_node
 from rx90_common.exchange.parameters import (
@@ -34,7 +34,6 @@ from rx90_common.exchange.parameters import (
     NodeParameters,
     named_parameters,
     parameter_values,
-    refuse_unknown_parameters,
 )
 
 JOINT = "rig_motor"
@@ -120,8 +119,8 @@ class BenchNode:
         self.rig = load_rig(resolve_config(parameters.rig))
         port = parameters.port
         node.add_on_set_parameters_callback(self._check)
-        self._states = publish(node, JointState, "~/joint_states", QoSProfile(depth=10))
-        self._commands = publish(node, JointState, "~/joint_commands", QoSProfile(depth=10))
+        self._states = node.create_publisher(JointState, "~/joint_states", QoSProfile(depth=10))
+        self._commands = node.create_publisher(JointState, "~/joint_commands", QoSProfile(depth=10))
         self._previous: Sample | None = None
         self._epoch_ns = 0
         self._emulated: PtyRig | None = None
@@ -159,7 +158,7 @@ class BenchNode:
             )
             for name, (job, done, group) in jobs.items()
         ]
-        refuse_unknown_parameters([(node, own)])
+        own.refuse_unknown()
 
     def _check(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         try:

@@ -16,7 +16,7 @@ from rx90_common.bags.reading import JointBag, read_joint_bag
 from rx90_common.bags.recorded import START, TRAJECTORY, time_shift
 from rx90_common.bags.tolerance import Tolerances
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import BagError, check_type
+from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 
@@ -135,28 +135,18 @@ class Scope:
 
     Attributes:
         topics: only these; by default all JointState topics, each of which must then be in both bags.
-        start_ns: messages before this stamp are left out.
-        end_ns: messages after this stamp are left out.
         common_range: stamps outside the common range are ignored.
         align: offset added to the stamps of the second bag before the comparison: ns, or START, so that both
             bags begin at the same time, or TRAJECTORY, so that their last trajectories do.
     """
 
     topics: tuple[str, ...] | None = None
-    start_ns: int | None = None
-    end_ns: int | None = None
     common_range: bool = False
     align: int | str = 0
 
     def __post_init__(self) -> None:
         if isinstance(self.align, str) and self.align not in (START, TRAJECTORY):
             raise BagError(f"align is {quoted(self.align)}; accepted: {START}, {TRAJECTORY}, or ns")
-
-    def cut(self, series: JointSeries) -> JointSeries:
-        """Return the part of a series that is compared."""
-        start_ns = -np.inf if self.start_ns is None else self.start_ns
-        end_ns = np.inf if self.end_ns is None else self.end_ns
-        return series.take((series.stamp_ns >= start_ns) & (series.stamp_ns <= end_ns))
 
 
 def compare_bags(
@@ -180,7 +170,6 @@ def compare_bags(
     """
     tolerances = tolerances or Tolerances()
     scope = scope or Scope()
-    check_type(tolerances=(tolerances, Tolerances), scope=(scope, Scope))
     first = read_joint_bag(path_a, scope.topics, mapping=mapping, all_there=True)
     second = read_joint_bag(path_b, scope.topics, mapping=mapping, all_there=True)
     shift = time_shift(scope.align, first, second)
@@ -190,8 +179,8 @@ def compare_bags(
     tolerances.check(topics, joints)
     results = []
     for topic in topics:
-        a = _part(first, topic, scope)
-        b = _part(second, topic, scope)
+        a = _part(first, topic)
+        b = _part(second, topic)
         if a and b:
             results.append(compare_series(a, b, tolerances, scope))
         elif a or b:
@@ -199,18 +188,15 @@ def compare_bags(
             results.append(_incomparable(topic, f"only the {where} bag has messages of it"))
     if not results:
         raise BagError(
-            f"neither {plain(first.path)} nor {plain(second.path)} has a JointState message in the window"
+            f"neither {plain(first.path)} nor {plain(second.path)} has a JointState message"
         )
     others = {topic.name for topic in (*first.topics, *second.topics) if not topic.is_joint_state}
     return BagComparison(first.path, second.path, tuple(results), tuple(sorted(others)), shift)
 
 
-def _part(bag: JointBag, topic: str, scope: Scope) -> JointSeries | None:
+def _part(bag: JointBag, topic: str) -> JointSeries | None:
     """Return what is compared of a topic, None where there is no message."""
-    if not bag.series.get(topic):
-        return None
-    part = scope.cut(bag.one(topic))
-    return part if len(part.stamp_ns) else None
+    return bag.one(topic) if bag.series.get(topic) else None
 
 
 def compare_series(
@@ -219,14 +205,6 @@ def compare_series(
     """Compare two series as `compare_bags` does, aligned on stamps and joint names."""
     tolerances = tolerances or Tolerances()
     scope = scope or Scope()
-    check_type(
-        a=(a, JointSeries),
-        b=(b, JointSeries),
-        tolerances=(tolerances, Tolerances),
-        scope=(scope, Scope),
-    )
-    a = scope.cut(a)
-    b = scope.cut(b)
     joints = tuple(name for name in a.names if name in b.names)
     if not joints:
         return _incomparable(

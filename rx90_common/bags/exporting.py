@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -29,7 +28,6 @@ def export_bag(
     output: Path,
     *,
     topics: Sequence[str] | None = None,
-    kind: str | None = None,
     progress: Progress = silent,
     mapping: LogMapping | None = None,
 ) -> dict[str, int]:
@@ -37,18 +35,16 @@ def export_bag(
 
     Args:
         path: a bag.
-        output: file, whose suffix is the format, or a folder, which gets a file for each topic; new.
+        output: file, whose suffix is the format, or a folder, which gets a CSV file for each topic; new.
         topics: topic names; by default all topics with messages.
-        kind: suffix of the files in a folder; by default output is a file, or without suffix a folder of .csv.
         progress: called with the number of messages read so far, and the total.
         mapping: of the columns of a table; by default the file beside it.
 
     Raises:
         BagWriteError: if the disk is full.
     """
-    single = kind is None and output.suffix != ""
-    if kind is None:
-        kind = output.suffix.lower() or ".csv"
+    single = output.suffix != ""
+    kind = output.suffix.lower() or ".csv"
     if kind not in FORMATS:
         raise BagError(
             f"{plain(output)}: the suffix says the format; accepted: {listed(FORMATS)}, or none"
@@ -111,23 +107,7 @@ def _table(series: JointSeries, columns: dict[str, Any]) -> pa.Table:
     return pa.table(columns)
 
 
-def _write_npz(path: Path, series: JointSeries) -> None:
-    """Write arrays of names that MATLAB takes, too, such as velocity_rad_s (n, joints); and the names of the joints."""
-    arrays: dict[str, Any] = {
-        "names": np.array(series.names),
-        _STAMP: series.stamp_ns,
-        "time [s]": series.time,
-    }
-    arrays |= {series.quantities[field]: values for field, values in series.fields.items()}
-    with path.open("wb") as file:
-        np.savez(
-            file,
-            **{re.sub(r"\W+", "_", name).strip("_"): values for name, values in arrays.items()},
-        )
-
-
 FORMATS: Final[Mapping[str, Callable[[Path, JointSeries], None]]] = {
     ".csv": _write_csv,
     ".parquet": _write_parquet,
-    ".npz": _write_npz,
 }

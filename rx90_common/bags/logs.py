@@ -5,14 +5,12 @@ from __future__ import annotations
 import codecs
 import csv
 import re
-from array import array
-from bisect import bisect_left
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from decimal import Decimal, DecimalException
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
@@ -22,7 +20,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
-from rx90_common.bags.limits import ARRAYS_FACTOR, check_whole, library_errors, load_arrays
+from rx90_common.bags.limits import library_errors, load_arrays
 from rx90_common.bags.mapping import DELIMITERS, TIME_UNITS, FieldColumns, LogMapping, mapping_of
 from rx90_common.bags.topics import absolute
 from rx90_common.base.errors import BagError, located
@@ -32,9 +30,7 @@ from rx90_common.base.rates import NANOSECONDS
 _LAST_NS: Final = 2**31 * NANOSECONDS  # stamps of ROS end there
 # rad, rad/s, Nm or A: beyond any joint, while a damaged number may be as large
 _LARGEST: Final = 1e9
-_NUMBER_BYTES = 8
 _LOOKED_AT = 200  # lines, by which delimiter, decimal sign and header are found out
-_TOLD = 20  # corrupt lines
 _DECIMAL_COMMA = re.compile(r'(^|;)[\s"]*[+-]?\d*,\d+[\s"]*(;|$)')
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
 _NUMBER_OR_NONE = r"^[+-]?((?i:nan|inf|infinity)|(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?)$"
@@ -42,20 +38,8 @@ _Columns = Mapping[int | str, Any]
 _Flags = NDArray[np.bool_]
 
 
-class ReadLog(NamedTuple):
-    """What was read of a log.
-
-    Attributes:
-        series: of each topic.
-        corrupt: which rows were left out, and why the first of them; empty if none was.
-    """
-
-    series: tuple[JointSeries, ...]
-    corrupt: str
-
-
 class _Table:
-    """The mapped columns of a log, arrow's of texts or NumPy's of numbers, and what is wrong with some of its rows."""
+    """The mapped columns of a log, arrow's of texts or NumPy's of numbers, and the lines of their rows."""
 
     def __init__(
         self, columns: _Columns, decimal: str = ".", lines: Int64Array | None = None
@@ -64,76 +48,56 @@ class _Table:
         self.decimal = decimal
         self.count = len(next(iter(columns.values()), ()))
         self.lines = np.arange(1, self.count + 1) if lines is None else lines
-        self.accepted: _Flags = np.ones(self.count, dtype=np.bool_)
-        self.torn: Int64Array = np.empty(0, np.int64)  # lines that are no row
-        self.faults: dict[int, str] = {}
 
-    def accept(self, column: int | str, accepted: _Flags, words: str) -> None:
-        """Note the rows whose cell in this column is not accepted."""
-        fresh = self.accepted & ~accepted
-        if fresh.any():
-            row = int(fresh.argmax())
-            cell = str(self.columns[column][row])
-            self.faults.setdefault(
-                int(self.lines[row]),
-                f"column {plain(column)} is {quoted(cell, 30)}; accepted: {words}",
+    def check(self, column: int | str, accepted: _Flags, words: str) -> None:
+        """Refuse the rows whose cell in this column is not accepted."""
+        corrupt = np.flatnonzero(~accepted)
+        if len(corrupt):
+            first = corrupt[0]
+            cell = quoted(str(self.columns[column][first]), 30)
+            raise BagError(
+                f"{counted(len(corrupt), 'corrupt row')}, the first in line {self.lines[first]}: "
+                f"column {plain(column)} is {cell}; accepted: {words}"
             )
-        self.accepted &= accepted
-
-    @property
-    def corrupt(self) -> str:
-        """Return which rows are corrupt, and why the first is."""
-        lines = np.sort(np.append(self.torn, self.lines[~self.accepted]))
-        if not len(lines):
-            return ""
-        first = min(self.faults)
-        more = f" and {len(lines) - _TOLD:,} more" if len(lines) > _TOLD else ""
-        told = f"line {listed(lines[:_TOLD].tolist())}{more}"
-        return f"{counted(len(lines), 'corrupt row')}, {told} (line {first}: {self.faults[first]})"
 
 
-def read_log(
-    path: Path, mapping: LogMapping | None = None, *, skip_corrupt: bool = False
-) -> ReadLog:
-    """Read a log; its times are exact, and increase.
+def read_log(path: Path, mapping: LogMapping | None = None) -> list[JointSeries]:
+    """Return the series of each topic of a log; its times are exact, and increase.
 
     Args:
         path: of the log.
         mapping: of its columns; by default the file beside it.
-        skip_corrupt: whether corrupt rows are left out; otherwise they are refused.
 
     Raises:
-        BagError: naming the corrupt rows, and why the first is: no number, or no later time than the row before.
+        BagError: naming the first corrupt row, and why it is: no number, or no later time than the row before.
     """
     mapping = mapping_of(path, mapping)
     read = {".parquet": _parquet_columns, ".npz": _npz_columns}.get(
         path.suffix.lower(), _text_columns
     )
-    with located(plain(path), BagError), library_errors():
-        table = read(path, mapping)
-    counts = {len(values) for values in table.columns.values()}
-    if len(counts) != 1 or 0 in counts:
-        lengths = ", ".join(
-            f"{plain(column)} {len(values)}" for column, values in table.columns.items()
-        )
-        raise BagError(
-            f"{plain(path)}: rows: {lengths}; accepted: columns of as many rows each, one or more"
-        )
-    stamps = _stamps_ns(table, mapping)
-    series = []
-    for topic, columns in mapping.by_topic.items():
-        arrays: dict[str, Any] = {
-            name: _values(table, field, exact=mapping.exact)
-            for name, field in columns.fields.items()
-        }
-        unit = columns.effort_unit(topic)
-        names = columns.names or ()
-        series.append(JointSeries(absolute(topic), names, stamps, **arrays, effort_unit=unit))
-    rows = _rows_in_time(table, mapping, stamps)
-    if table.corrupt and not (skip_corrupt and len(rows)):
-        hint = "numbers and times that increase, or rx90 bag import --skip-corrupt, to leave out some rows"
-        raise BagError(f"{plain(path)}: {table.corrupt}; accepted: {hint}")
-    return ReadLog(tuple(part.take(rows) for part in series), table.corrupt)
+    with located(plain(path), BagError):
+        with library_errors():
+            table = read(path, mapping)
+        counts = {len(values) for values in table.columns.values()}
+        if len(counts) != 1 or 0 in counts:
+            lengths = ", ".join(
+                f"{plain(column)} {len(values)}" for column, values in table.columns.items()
+            )
+            raise BagError(f"rows: {lengths}; accepted: columns of as many rows each, one or more")
+        stamps = _stamps_ns(table, mapping)
+        rows = np.argsort(stamps, kind="stable")  # of an exact log; the times of others increase
+        series = []
+        for topic, columns in mapping.by_topic.items():
+            arrays: dict[str, Any] = {
+                name: _values(table, field, exact=mapping.exact)[rows]
+                for name, field in columns.fields.items()
+            }
+            unit = columns.effort_unit(topic)
+            names = columns.names or ()
+            series.append(
+                JointSeries(absolute(topic), names, stamps[rows], **arrays, effort_unit=unit)
+            )
+        return series
 
 
 def _values(table: _Table, field: FieldColumns, *, exact: bool) -> NDArray[np.float64]:
@@ -143,7 +107,7 @@ def _values(table: _Table, field: FieldColumns, *, exact: bool) -> NDArray[np.fl
         numbers = numbers * field.factors[k]  # a factor of 1 changes no bit
         if not exact:
             accepted = accepted & (np.abs(numbers) <= _LARGEST)  # a NaN is not
-        table.accept(column, accepted, "numbers of joints, up to 1e9")
+        table.check(column, accepted, "numbers of joints, up to 1e9")
         values[:, k] = numbers
     return values
 
@@ -160,35 +124,6 @@ def _numbers(cells: Any, decimal: str, *, exact: bool) -> tuple[NDArray[np.float
     is_number = pc.match_substring_regex(texts, _NUMBER_OR_NONE if exact else _NUMBER)
     texts = pc.if_else(is_number, pc.replace_substring_regex(texts, r"^\+", ""), "nan")
     return pc.cast(texts, pa.float64()).to_numpy(), is_number.to_numpy()
-
-
-def _rows_in_time(table: _Table, mapping: LogMapping, stamps: Int64Array) -> NDArray[np.intp]:
-    """Return the rows that are accepted, in the order of time; others become corrupt."""
-    rows = np.flatnonzero(table.accepted)
-    if mapping.exact:
-        return rows[np.argsort(stamps[rows], kind="stable")]
-    if mapping.time is not None and (np.diff(stamps[rows]) <= 0).any():
-        later = ~table.accepted
-        later[rows[_increasing(stamps[rows])]] = True
-        table.accept(mapping.time.column, later, "a time between those around it")
-        rows = np.flatnonzero(table.accepted)
-    return rows
-
-
-def _increasing(stamps: Int64Array) -> list[int]:
-    """Return the indices of a longest strictly increasing subsequence; of equal stamps the last is in it."""
-    smallest: list[int] = []  # of the last stamps of increasing subsequences of each length
-    ends: list[int] = []  # their indices
-    before: list[int] = []  # the index that comes before each one in its subsequence
-    for k, stamp in enumerate(stamps.tolist()):
-        length = bisect_left(smallest, stamp)
-        before.append(ends[length - 1] if length else -1)
-        smallest[length : length + 1] = [stamp]
-        ends[length : length + 1] = [k]
-    chosen = ends[-1:]
-    while before[chosen[-1]] >= 0:
-        chosen.append(before[chosen[-1]])
-    return chosen[::-1]
 
 
 def _check_names(mapping: LogMapping, known: Sequence[int | str]) -> None:
@@ -215,13 +150,6 @@ def _parquet_columns(path: Path, mapping: LogMapping) -> _Table:
     """Return the columns that are mapped: others may be of texts of any length."""
     file = pq.ParquetFile(path, page_checksum_verification=True)
     _check_names(mapping, file.schema_arrow.names)
-    groups = [file.metadata.row_group(k) for k in range(file.metadata.num_row_groups)]
-    parts = [group.column(k) for group in groups for k in range(group.num_columns)]
-    pages = sum(
-        part.total_uncompressed_size for part in parts if part.path_in_schema in mapping.columns
-    )
-    numbers = _NUMBER_BYTES * file.metadata.num_rows * len(mapping.columns)
-    check_whole(path, "arrays", max(numbers, pages), ARRAYS_FACTOR)
     return _Table({column: file.read([column])[column].to_numpy() for column in mapping.columns})
 
 
@@ -273,16 +201,11 @@ def _text_columns(path: Path, mapping: LogMapping) -> _Table:
         column: column - 1 if isinstance(column, int) else header.index(column)
         for column in mapping.columns
     }
-    torn = array("q")
-    faults: dict[int, str] = {}
+    torn: list[pa_csv.InvalidRow] = []
 
     def note_torn(row: pa_csv.InvalidRow) -> str:
-        if not torn:
-            faults[int(numbers[head + row.number - 1])] = (
-                f"{counted(row.actual_columns, 'field')}, others have {width}"
-            )
-        torn.append(head + row.number - 1)
-        return "skip"
+        torn.append(row)
+        return "error"
 
     count = len(lines) - head
     rows = pa.ListArray.from_arrays([0, count], lines[head:])
@@ -300,16 +223,17 @@ def _text_columns(path: Path, mapping: LogMapping) -> _Table:
             ),
         )
     except pa.ArrowInvalid as error:
-        raise BagError(f"{plain(error, 300)}; accepted: columns as in the signal map") from error
-    if table.num_rows + len(torn) != count:
+        fault = plain(error, 300)
+        for row in torn:
+            fields_there = counted(row.actual_columns, "field")
+            fault = f"{fields_there} in line {numbers[head + row.number - 1]}, others have {width}"
+        raise BagError(f"{fault}; accepted: columns as in the signal map") from error
+    if table.num_rows != count:
         raise BagError("a quotation mark without a second one in its line; accepted: pairs of them")
     columns = {
         column: pc.utf8_trim_whitespace(table[fields[place]]) for column, place in places.items()
     }
-    result = _Table(columns, decimal, np.delete(numbers, torn)[head:])
-    result.torn = numbers[torn]
-    result.faults = faults
-    return result
+    return _Table(columns, decimal, numbers[head:])
 
 
 def _dialect(lines: Sequence[str], mapping: LogMapping) -> tuple[str, str]:
@@ -359,9 +283,10 @@ def _stamps_ns(table: _Table, mapping: LogMapping) -> Int64Array:
         stamps = np.fromiter(
             (_stamp_ns(cell, table.decimal, unit_ns) for cell in texts), np.int64, table.count
         )
-    table.accept(
-        time.column, stamps >= 0, f"times of 0 to {_LAST_NS // NANOSECONDS} s, or ISO 8601"
-    )
+    table.check(time.column, stamps >= 0, f"times of 0 to {_LAST_NS // NANOSECONDS} s, or ISO 8601")
+    if not mapping.exact:
+        later = np.diff(stamps, prepend=-1) > 0
+        table.check(time.column, later, "a later time than in the row before")
     return np.asarray(stamps, dtype=np.int64)
 
 

@@ -10,22 +10,24 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from rosbags.typesys import Stores, get_typestore
+from backports import zstd
+from rosbags.typesys import Stores
 
 from rx90_common.bags.joint_messages import SeriesBuilder
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.limits import ZSTD_MAGIC, DamagedError, library_errors, unpack_message
+from rx90_common.bags.limits import ZSTD_MAGIC, DamagedError, library_errors
 from rx90_common.bags.mapping import LogMapping, is_table
 from rx90_common.bags.storage import ACCEPTED, BagTopic, StorageReader, open_storage, topic_of
 from rx90_common.bags.topics import EFFORT_UNIT, JOINT_STATE, absolute
 from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import BagError, ConfigError, located
 from rx90_common.base.quoting import listed, plain, quoted
+from rx90_common.exchange.message_types import typestore
 
 __all__ = ["BagReader", "BagTopic", "JointSeries", "read_bag", "read_joint_states"]
 
@@ -33,7 +35,6 @@ Progress = Callable[[int, int], None]
 """Called with how much is done, and of how much."""
 FILE = "metadata.yaml"
 _STEP = 8192  # messages between two reports of progress
-_typestore = cache(get_typestore)
 
 
 def silent(_done: int, _total: int) -> None:
@@ -72,7 +73,7 @@ class BagReader:
         if is_table(self.path):
             from rx90_common.bags.logs import read_log  # pyarrow takes a while
 
-            self.table = read_log(self.path, self._mapping).series
+            self.table = read_log(self.path, self._mapping)
             self.effort_units = {series.topic: series.effort_unit for series in self.table}
         with ExitStack() as stack:
             stack.enter_context(located(plain(self.path), BagError))
@@ -116,7 +117,7 @@ class BagReader:
                 # To rosbags no connections are all of them.
                 for connection, log_ns, data in reader.messages(connections) if connections else ():
                     read += 1
-                    message = unpack_message(data) if data.startswith(ZSTD_MAGIC) else data
+                    message = zstd.decompress(data) if data.startswith(ZSTD_MAGIC) else data
                     yield by_id[connection.id], log_ns, message
                 expected = sum(connection.msgcount for connection in connections)
                 if read != expected:
@@ -126,7 +127,7 @@ class BagReader:
 
     def deserialize(self, topic: BagTopic, data: bytes) -> Any:
         """Return the message as rosbags builds it."""
-        store = _typestore(Stores.ROS1_NOETIC if topic.is_ros1 else Stores.ROS2_JAZZY)
+        store = typestore(Stores.ROS1_NOETIC if topic.is_ros1 else Stores.ROS2_JAZZY)
         if topic.msgtype not in store.fielddefs:
             raise BagError(
                 f"{plain(topic.name)} is {plain(topic.msgtype)}, which is not known here"

@@ -1,44 +1,30 @@
 """Storage files of bags, mcap, sqlite3 and ROS 1: read by rosbags, after what it does not check.
 
-These are the checksum of an mcap file's summary, what chunks unpack to, damaged pages of a database, and
-the counts of messages.
+These are the checksum of an mcap file's summary, damaged pages of a database, and the counts of messages.
 """
 
 from __future__ import annotations
 
 import os
+import shutil
 import sqlite3
 import struct
-from bz2 import BZ2Decompressor
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, BinaryIO, Final, NamedTuple, TypeAlias
+from typing import Final, TypeAlias
 from urllib.parse import quote
 from zlib import crc32
 
-import lz4.frame
 from backports import zstd
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
-from mcap.records import Chunk
 from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader as Ros1Reader
-from rosbags.rosbag1.reader import Header, RecordType
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-from rx90_common.bags.limits import (
-    MAX_MESSAGE_BYTES,
-    ZSTD_MAGIC,
-    DamagedError,
-    check_length,
-    check_whole,
-    library_errors,
-    unpack_file,
-)
+from rx90_common.bags.limits import ZSTD_MAGIC, DamagedError
 from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
@@ -50,16 +36,7 @@ ACCEPTED: Final = (
 MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
 _SQLITE_MAGIC = b"SQLite format 3\0"
 _ROS1_MAGIC = b"#ROSBAG V2.0\n"
-_MAX_CHUNK_BYTES = 32 << 20
-_RECORD = struct.Struct("<BQ")  # of mcap: op code and length
 _FOOTER = struct.Struct("<QQI")  # places of summary and offsets, checksum
-_DECOMPRESSORS: dict[str, Callable[[], Any]] = {
-    "zstd": zstd.ZstdDecompressor,
-    "lz4": lz4.frame.LZ4FrameDecompressor,
-    "bz2": BZ2Decompressor,
-}
-_UNPACKED = ("", "none")
-_LONGEST = "SELECT max(length(data)) FROM messages"
 StorageReader: TypeAlias = McapReader | Sqlite3Reader | Ros1Reader
 
 
@@ -110,66 +87,33 @@ def open_storage(path: Path) -> Iterator[StorageReader]:
     if beginning.startswith(ZSTD_MAGIC):
         with TemporaryDirectory(prefix="rx90_bag_") as folder:
             target = Path(folder) / path.stem
-            unpack_file(path, target)
+            with zstd.open(path, "rb") as content, target.open("wb") as whole:
+                shutil.copyfileobj(content, whole)
             with open_storage(target) as storage:
                 yield storage
         return
     if beginning.startswith(MCAP_MAGIC):
-        reader: StorageReader = _open_mcap(path)
+        _check_mcap(path)
+        reader: StorageReader = McapReader(path)
     elif beginning.startswith(_SQLITE_MAGIC):
         _check_database(path)
         reader = Sqlite3Reader(Path(quote(str(path))))  # which stands in a URI there
-        reader.open()
-        _check_total(reader)
     elif beginning.startswith(_ROS1_MAGIC):
         reader = Ros1Reader(path)
-        reader.open()
-        with path.open("rb") as stream:
-            _check_chunks(path, _ros1_chunks(reader, stream))
     else:
         fault = "is no bag, or damaged at its beginning" if beginning else "is empty"
         raise BagError(f"{fault}; accepted: {ACCEPTED}")
+    reader.open()
     with closing(reader):
+        counted = sum(connection.msgcount for connection in reader.connections)
+        stated = counted if isinstance(reader, Ros1Reader) else reader.metadata.message_count
+        if counted != stated:
+            raise DamagedError(f"it has {stated:,} messages, its topics {counted:,}")
         yield reader
 
 
-class _PackedChunk(NamedTuple):
-    """Messages that are compressed together: where they begin in the file, and the length that they are to have."""
-
-    start: int
-    compression: str
-    size: int
-    content: bytes
-
-
-def _check_chunks(path: Path, chunks: Iterator[_PackedChunk]) -> set[tuple[int, str, int, int]]:
-    """Refuse chunks that unpack to too much, or to other lengths than their heads say; return place and form of each.
-
-    rosbags unpacks a chunk whole, whatever comes of it.
-    """
-    whole = 0
-    forms = set()
-    for start, compression, size, content in chunks:
-        with library_errors(f"the chunk at byte {start}: "):
-            check_length(f"the chunk at byte {start}", max(size, len(content)), _MAX_CHUNK_BYTES)
-            unpacked = content
-            left_over = b""
-            if compression not in _UNPACKED:
-                decompressor = _DECOMPRESSORS[compression]()
-                unpacked = decompressor.decompress(content, size + 1)
-                left_over = decompressor.unused_data
-            if len(unpacked) != size or left_over:
-                raise DamagedError(
-                    f"the chunk at byte {start} unpacks to another length than {size:,} bytes"
-                )
-        whole += size
-        check_whole(path, "chunks", whole)
-        forms.add((start, compression, len(content), size))
-    return forms
-
-
-def _open_mcap(path: Path) -> McapReader:
-    """Open an mcap file that has its end, the checksum of its summary, and chunks where its index says."""
+def _check_mcap(path: Path) -> None:
+    """Refuse an mcap file without its end, or with another checksum of its summary."""
     with path.open("rb") as stream:
         end = stream.seek(-len(MCAP_MAGIC), os.SEEK_END)
         if not end or stream.read() != MCAP_MAGIC:
@@ -181,55 +125,6 @@ def _open_mcap(path: Path) -> McapReader:
         stream.seek(start)
         if start and crc and crc32(stream.read(max(0, end - start - 4))) != crc:
             raise DamagedError("the checksum of its summary does not match")
-        forms = _check_chunks(path, _mcap_chunks(stream))
-    reader = McapReader(path)
-    reader.open()
-    indexed = {
-        (
-            chunk.chunk_start_offset,
-            chunk.compression,
-            chunk.compressed_size,
-            chunk.uncompressed_size,
-        )
-        for chunk in reader.chunks
-    }
-    if not indexed <= forms:
-        raise DamagedError("its index leads to no chunk")
-    _check_total(reader)
-    return reader
-
-
-def _check_total(reader: McapReader | Sqlite3Reader) -> None:
-    counted = sum(connection.msgcount for connection in reader.connections)
-    if counted != reader.metadata.message_count:
-        raise DamagedError(
-            f"it has {reader.metadata.message_count:,} messages, its topics {counted:,}"
-        )
-
-
-def _mcap_chunks(stream: BinaryIO) -> Iterator[_PackedChunk]:
-    stream.seek(len(MCAP_MAGIC))
-    while len(head := stream.read(_RECORD.size)) == _RECORD.size:
-        code, length = _RECORD.unpack(head)
-        begin = stream.tell()
-        if code == Opcode.CHUNK:
-            check_length("a chunk", length, _MAX_CHUNK_BYTES)
-            chunk = Chunk.read(ReadDataStream(stream))
-            yield _PackedChunk(
-                begin - _RECORD.size, chunk.compression, chunk.uncompressed_size, chunk.data
-            )
-        stream.seek(begin + length)
-
-
-def _ros1_chunks(reader: Ros1Reader, stream: BinaryIO) -> Iterator[_PackedChunk]:
-    for start, chunk in reader.chunks.items():
-        stream.seek(start)
-        header = Header.read(stream, RecordType.CHUNK)
-        stream.seek(chunk.datapos)
-        content = stream.read(min(chunk.datasize, _MAX_CHUNK_BYTES + 1))
-        yield _PackedChunk(
-            start, header.get_string("compression"), header.get_uint32("size"), content
-        )
 
 
 def _check_database(path: Path) -> None:
@@ -245,7 +140,5 @@ def _check_database(path: Path) -> None:
         sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
     ) as database:
         (verdict,) = database.execute("PRAGMA integrity_check(1)").fetchone()
-        (longest,) = database.execute(_LONGEST).fetchone()
     if verdict != "ok":
         raise DamagedError(plain(verdict))
-    check_length("a message", longest or 0, MAX_MESSAGE_BYTES)

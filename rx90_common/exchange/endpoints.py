@@ -1,9 +1,4 @@
-"""Publishers and subscriptions of nodes: quality of service, unreadable messages, waits for subscribers.
-
-Depth, reliability and durability can be chosen by parameters `qos_overrides./joint_states.publisher.depth` and so on,
-as in rclcpp. History cannot be chosen: a publisher that keeps all stops the tick, for as long as the lease of a reader
-that was killed.
-"""
+"""Publishers and subscriptions of nodes: quality of service, unreadable messages, waits for subscribers."""
 
 from __future__ import annotations
 
@@ -15,34 +10,23 @@ from typing import Any, Final
 
 from builtin_interfaces.msg import Time
 from rclpy.callback_groups import CallbackGroup
-from rclpy.duration import Duration, Infinite
+from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import (
     DurabilityPolicy,
-    QoSCompatibility,
-    QoSPolicyKind,
     QoSProfile,
-    qos_check_compatible,
 )
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 
-from rx90_common.base.errors import ConfigError, ExchangeError
-from rx90_common.base.quoting import counted, plain, quoted
+from rx90_common.base.quoting import counted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.pacing import error_log
 
-PREFIX: Final = "qos_overrides."
-_MOST = 100_000  # messages
-_ACCEPTED = {
-    QoSPolicyKind.DEPTH: (range(1, _MOST + 1), f"a whole number in [1, {_MOST}]"),
-    QoSPolicyKind.RELIABILITY: (("reliable", "best_effort"), "reliable, best_effort"),
-    QoSPolicyKind.DURABILITY: (("volatile", "transient_local"), "volatile, transient_local"),
-}
 _LOOK = 0.05  # s between two looks at the graph
 _SETTLED_LOOKS = 10
+_UNMATCHED_LOOKS = 40
 _SLICE = Duration(nanoseconds=50_000_000)
 _DELIVERY_TIMEOUT = 4.0  # s; shorter than the wait for the end of a ticking thread
 _SHARE = 0.75  # of the publishers' history that is sent before the next wait
@@ -69,50 +53,12 @@ def ros_time(nanoseconds: int) -> Time:
     return Time(sec=seconds, nanosec=rest)
 
 
-def is_given_alone(node: Node, name: str) -> bool:
-    """Return whether a parameter is there because it was given, and has not been declared with a description."""
-    return node.has_parameter(name) and not node.describe_parameter(name).description
-
-
-def _overridable(node: Node, topic: str, entity: str) -> QoSOverridingOptions:
-    """Return the options with which rclpy declares and applies the parameters of a topic's "publisher" or such."""
-    for policy, (values, accepted) in _ACCEPTED.items():
-        name = f"{PREFIX}{node.resolve_topic_name(topic)}.{entity}.{policy.name.lower()}"
-        if is_given_alone(node, name):  # rclpy's own errors name no parameter
-            value = node.get_parameter(name).value
-            if isinstance(value, bool) or value not in values:
-                raise ConfigError(
-                    f"parameter {plain(name)} is {quoted(value)}; accepted: {accepted}"
-                )
-            node.undeclare_parameter(name)  # rclpy declares it again, with the value that was given
-    return QoSOverridingOptions(list(_ACCEPTED))
-
-
-def overridable_topics(node: Node) -> str:
-    """Return, for a message, the parameters that can be chosen, once the node has all its topics."""
-    names = [name for name in node.get_parameters_by_prefix("") if name.startswith(PREFIX)]
-    known = {
-        name.removeprefix(PREFIX).rpartition(".")[0]
-        for name in names
-        if not is_given_alone(node, name)
-    }
-    return f"{', '.join(policy.name.lower() for policy in _ACCEPTED)} of {', '.join(sorted(known))}"
-
-
-def publish(node: Node, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
-    """Make a publisher whose quality of service the node's parameters may change."""
-    return node.create_publisher(
-        kind, topic, qos, qos_overriding_options=_overridable(node, topic, "publisher")
-    )
-
-
 def subscribe(
     node: Node,
     kind: Any,
     topic: str,
     callback: Callable[[Any], object],
     qos: QoSProfile,
-    check: Callable[[bytes], None] | None = None,
 ) -> None:
     """Call `callback` with each message of type `kind`, on the executor's thread; report an unreadable one in a line.
 
@@ -123,35 +69,22 @@ def subscribe(
         kind: class of the messages.
         topic: relative or absolute name.
         callback: called with a message.
-        qos: of the subscription, which the node's parameters may change.
-        check: reads the bytes before the middleware does and raises ExchangeError if they are invalid. For
-            types with sequences, about whose lengths the middleware itself prints to standard error.
+        qos: of the subscription.
     """
 
     def take(raw: bytes) -> None:
         try:
-            if check is not None:
-                check(raw)
             message = deserialize_message(raw, kind)
-        except (
-            ExchangeError,
-            RuntimeError,
-        ) as error:  # the middleware's text names a place in its source
-            type_name = f"{kind.__module__.split('.')[0]}/{kind.__name__}"
+        except RuntimeError:  # the middleware's text names a place in its source
             wrong = (
-                error
-                if isinstance(error, ExchangeError)
-                else f"{counted(len(raw), 'byte')}, no {type_name}"
+                f"{counted(len(raw), 'byte')}, no {kind.__module__.split('.')[0]}/{kind.__name__}"
             )
             log.say("bytes", f"{subscription.topic_name}: {wrong}; the message is ignored")
             return
         callback(message)
 
     log = error_log(node)
-    overrides = _overridable(node, topic, "subscription")
-    subscription = node.create_subscription(
-        kind, topic, take, qos, raw=True, qos_overriding_options=overrides
-    )
+    subscription = node.create_subscription(kind, topic, take, qos, raw=True)
 
 
 class ManualCallbackGroup(CallbackGroup):
@@ -173,35 +106,17 @@ def never_called(_message: object) -> None:
     """Stand for the callback of such a subscription."""
 
 
-def fitting_subscriptions(node: Node, publisher: Publisher) -> int:
-    """Return how many subscriptions the graph knows of that a publisher's quality of service suits."""
-    offered = publisher.qos_profile
-    fitting = 0
-    for info in node.get_subscriptions_info_by_topic(publisher.topic_name):
-        requested = info.qos_profile
-        # If no times are required, the graph reports infinite ones, which the check would compare.
-        times = {
-            name: getattr(requested, name) for name in ("deadline", "liveliness_lease_duration")
-        }
-        times = {name: time for name, time in times.items() if time < Infinite}
-        profile = QoSProfile(
-            depth=1, reliability=requested.reliability, durability=requested.durability, **times
-        )
-        fitting += qos_check_compatible(offered, profile)[0] != QoSCompatibility.ERROR
-    return fitting
-
-
 def wait_until_matched(
     node: Node,
     publishers: Sequence[Publisher],
     attempts: int,
     stop: Callable[[], bool] = lambda: False,
 ) -> bool:
-    """Wait until every subscription in the graph is matched with our publishers; return whether it is.
+    """Wait until every subscription in the graph is matched with our publishers; return whether that has settled.
 
     A recorder that was started before then gets the first message too. The graph discovers its members one by one, so
-    it must also have been constant for half a second. A subscription with an incompatible quality of service is
-    never matched, and not waited for.
+    it must also have been constant for half a second; or for two seconds, if subscriptions are not matched, as those
+    with an incompatible quality of service never are.
 
     Args:
         node: the publishers' node.
@@ -210,18 +125,20 @@ def wait_until_matched(
         stop: returns whether to stop waiting.
     """
     pause = threading.Event()
-    before = list[int]()
+    before: list[tuple[int, int]] = []
     quiet = 0
     for _ in range(attempts):
         if stop():
             break
-        known = [fitting_subscriptions(node, publisher) for publisher in publishers]
-        have = [publisher.get_subscription_count() for publisher in publishers]
-        complete = all(h >= k for h, k in zip(have, known, strict=True))
-        quiet = quiet + 1 if complete and have == before else 0
-        if quiet >= _SETTLED_LOOKS:
+        counts = [
+            (node.count_subscribers(publisher.topic_name), publisher.get_subscription_count())
+            for publisher in publishers
+        ]
+        quiet = quiet + 1 if counts == before else 0
+        is_complete = all(matched >= known for known, matched in counts)
+        if quiet >= (_SETTLED_LOOKS if is_complete else _UNMATCHED_LOOKS):
             return True
-        before = have
+        before = counts
         pause.wait(_LOOK)
     return False
 

@@ -33,16 +33,14 @@ from rclpy.utilities import try_shutdown
 from rx90_common.base.errors import FAILED, Rx90Error
 from rx90_common.base.quoting import one_line, plain
 from rx90_common.exchange.channel import MakeChannel, TickChannel
-from rx90_common.exchange.endpoints import CLOCK_QOS, TICK_QOS, publish
+from rx90_common.exchange.endpoints import CLOCK_QOS, TICK_QOS
 from rx90_common.exchange.pacing import ThrottledLog, error_log
 from rx90_common.exchange.parameters import (
     NodeParameters,
     ParameterChanges,
     named_parameters,
-    refuse_unknown_parameters,
     unknown_parameter,
 )
-from rx90_common.exchange.requests import answer_all_requests
 from rx90_common.exchange.ros_start import reason, start_ros
 from rx90_common.process.interrupts import end_with, stop_request
 
@@ -74,7 +72,7 @@ class Diagnostics:
     ) -> None:
         self._node = node
         self._collect = collect
-        self._publisher = publish(node, DiagnosticArray, "/diagnostics", CLOCK_QOS)
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", CLOCK_QOS)
         # Without the leading slash, as diagnostic_aggregator writes names.
         namespace = node.get_namespace().strip("/")
         self._prefix = f"{namespace}/" if namespace else ""
@@ -146,7 +144,6 @@ def _spin(members: Sequence[TickingNode], services: int, cut_off: threading.Time
     count = max(services, len(nodes))
     executor = SingleThreadedExecutor() if count == 1 else MultiThreadedExecutor(count)
     for node in nodes:
-        answer_all_requests(node)
         executor.add_node(node)
     # The executor must give the interpreter back to the ticks soon, and the collector must not walk through
     # everything that was imported in the middle of a tick.
@@ -300,7 +297,7 @@ class ManagedNode(LifecycleNode):
     def _configure(self) -> None:
         self._managed.configure()
         if not self.starting:
-            refuse_unknown_parameters([(self, self.parameters)])
+            self.parameters.refuse_unknown()
         self.changes.publish_values()
 
     def _clean_up(self) -> None:
@@ -350,9 +347,9 @@ def started(members: Iterable[_Member]) -> list[_Member]:
     for node in own:
         node.starting = True
         _insist(node, node.trigger_configure())
-    refuse_unknown_parameters(
-        [(member.node, member.node.parameters) for member in members if member.node.configured]
-    )
+    for member in members:
+        if member.node.configured:
+            member.node.parameters.refuse_unknown()
     for node in own:
         _insist(node, node.trigger_activate())
         node.starting = False

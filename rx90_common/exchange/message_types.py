@@ -1,9 +1,10 @@
-"""Types of messages as the installed ROS packages have them: their classes and definitions."""
+"""Types of messages: as rosbags knows them, and as the installed ROS packages have them."""
 
 from __future__ import annotations
 
 import importlib
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,27 @@ from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from rx90_common.base.errors import BagError
+from rx90_common.base.errors import BagError, ExchangeError
+from rx90_common.base.quoting import counted
 from rx90_common.process.requirements import missing_module
+
+
+@cache
+def typestore(known: Stores = Stores.ROS2_JAZZY) -> Typestore:
+    """Return the message types of ROS 2 Jazzy's common interfaces, or of others."""
+    return get_typestore(known)
+
+
+def read_message(raw: bytes, msgtype: str) -> Any:
+    """Return a message of one of these types as rosbags builds it.
+
+    Raises:
+        ExchangeError: if the bytes are none.
+    """
+    try:
+        return typestore().deserialize_cdr(raw, msgtype)
+    except Exception as error:  # rosbags does not catch all that Python raises for them
+        raise ExchangeError(f"{counted(len(raw), 'byte')}, no {msgtype}") from error
 
 
 def message_class(topic: str, msgtype: str) -> Any:

@@ -40,7 +40,7 @@ from rx90_common.description.robot_files import (
     RobotFiles,
     robot_folder,
 )
-from rx90_common.exchange.endpoints import PREFIX, is_given_alone, overridable_topics, ros_time
+from rx90_common.exchange.endpoints import ros_time
 from rx90_common.exchange.topics import PARAMETERS
 
 OF_ROS = ("use_sim_time", "start_type_description_service")
@@ -219,7 +219,7 @@ class NodeParameters:
         self._node = node
         self._given: dict[str, Any] = {}
         for name, value in parameter_values(node).items():
-            if name not in OF_ROS and not name.startswith(PREFIX):
+            if name not in OF_ROS:
                 self._given[name] = value
                 node.undeclare_parameter(name)
 
@@ -248,14 +248,14 @@ class NodeParameters:
         for name in names:
             self._given.pop(name, None)
 
-    @property
-    def unknown(self) -> list[str]:
-        """Return the names that were given and are not declared."""
-        of_topics = [
-            name for name in self._node.get_parameters_by_prefix("") if name.startswith(PREFIX)
-        ]
-        unused = [name for name in of_topics if is_given_alone(self._node, name)]
-        return [name for name in self._given if not self._node.has_parameter(name)] + unused
+    def refuse_unknown(self) -> None:
+        """Look for values given to parameters that the node has not declared; to be called when all are declared.
+
+        A managed node that is not configured has not declared all of them.
+        """
+        for name in self._given:
+            if not self._node.has_parameter(name):
+                raise ConfigError(unknown_parameter(self._node, name))
 
 
 def parameter_values(node: Node) -> dict[str, Any]:
@@ -266,35 +266,11 @@ def parameter_values(node: Node) -> dict[str, Any]:
     }
 
 
-def refuse_unknown_parameters(nodes: Sequence[tuple[Node, NodeParameters]]) -> None:
-    """Look for values given to parameters that a node has not declared; to be called when all are declared.
-
-    A managed node that is not configured has not declared all of them.
-    """
-    for node, parameters in nodes:
-        for name in parameters.unknown:
-            owners = [
-                other.get_name()
-                for other, _ in nodes
-                if other.has_parameter(name) and not is_given_alone(other, name)
-            ]
-            alone = f"-p {owners[0]}:{name}:=... for that node alone" if owners else None
-            raise ConfigError(unknown_parameter(node, name, alone))
-
-
-def unknown_parameter(node: Node, name: str, accepted: str | None = None) -> str:
-    """Return the result for an unknown parameter, with accepted names; by default the node's parameters."""
-    known: list[str] = []
-    if accepted is None and name.startswith(PREFIX):
-        accepted = overridable_topics(node)
-    elif accepted is None:
-        known = sorted(
-            one
-            for one in node.get_parameters_by_prefix("")
-            if one not in OF_ROS and PREFIX not in one
-        )
-        accepted = ", ".join(known)
+def unknown_parameter(node: Node, name: str) -> str:
+    """Return the result for an unknown parameter, with the node's own."""
+    known = sorted(one for one in node.get_parameters_by_prefix("") if one not in OF_ROS)
     asked = question(nearest(name, known))
+    accepted = ", ".join(known)
     return f"parameter {plain(name)} is unknown to {node.get_name()}{asked}; accepted: {accepted}"
 
 
@@ -361,11 +337,7 @@ class ParameterChanges:
     def _answer(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         try:
             for name in (parameter.name for parameter in parameters):
-                free = (
-                    name in OF_ROS
-                    or name.startswith(PREFIX)
-                    or any(name in group[0] for group in self._groups)
-                )
+                free = name in OF_ROS or any(name in group[0] for group in self._groups)
                 # A parameter that is not there yet is being declared.
                 if not (free or self._unconfigured()) and self._node.has_parameter(name):
                     raise ConfigError(

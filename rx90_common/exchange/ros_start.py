@@ -6,6 +6,7 @@ Modules of ROS are imported only when they are needed.
 from __future__ import annotations
 
 import ctypes
+import importlib
 import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -86,27 +87,10 @@ def reason(error: Exception) -> str:
     return plain(" ".join(str(error).split(", at /")[0].split()), _REASON)
 
 
-def missing_control_msgs() -> str | None:
-    """Return None if control_msgs can be used; else a line with the missing package and how to get it.
-
-    Without it a controller runs with its topics and services, but without the action. If it is missing, the check costs
-    a search for the folder; otherwise the imports are those of the action.
-    """
+def missing_messages(package: str) -> str | None:
+    """Return None if a package of messages can be used; else a line with what is missing and how to get it."""
     try:
-        from control_msgs import control_msgs_s__rosidl_typesupport_c  # noqa: F401
-        from control_msgs.action import FollowJointTrajectory  # noqa: F401
-        from control_msgs.msg import JointTrajectoryControllerState, SpeedScalingFactor  # noqa: F401
-        from control_msgs.srv import QueryTrajectoryState  # noqa: F401
-    except ImportError as error:
-        return missing_module(error) or str(error)
-    return None
-
-
-def missing_controller_manager_msgs() -> str | None:
-    """Return None if controller_manager_msgs can be used; else a line with the missing package and how to get it."""
-    try:
-        from controller_manager_msgs import controller_manager_msgs_s__rosidl_typesupport_c  # noqa: F401
-        from controller_manager_msgs.srv import ListControllers  # noqa: F401
+        importlib.import_module(f"{package}.{package}_s__rosidl_typesupport_c")
     except ImportError as error:
         return missing_module(error) or str(error)
     return None

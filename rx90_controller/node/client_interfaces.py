@@ -32,7 +32,6 @@ from rx90_common.exchange.endpoints import (
     LATCHED_QOS,
     REQUEST_QOS,
     STATE_QOS,
-    publish,
     ros_time,
     subscribe,
 )
@@ -138,8 +137,8 @@ class ClientInterfaces:
         # Latched, as the original has it: what was asked for before this node was there counts, too.
         subscribe(node, SpeedScalingFactor, "~/speed_scaling_input", self._on_scaling, LATCHED_QOS)
         node.create_service(QueryTrajectoryState, "~/query_state", self._on_query, qos_profile=qos)
-        self.publisher = publish(
-            node, JointTrajectoryControllerState, "~/controller_state", STATE_QOS
+        self.publisher = node.create_publisher(
+            JointTrajectoryControllerState, "~/controller_state", STATE_QOS
         )
         self._state = _StateMessage(self._names)
         self._state_ns = self._tick_ns * state_ticks

@@ -32,7 +32,6 @@ from rx90_common.exchange.endpoints import (
     REQUEST_QOS,
     STATE_QOS,
     TRAJECTORY_QOS,
-    publish,
     ros_time,
     subscribe,
     wait_until_matched,
@@ -41,7 +40,7 @@ from rx90_common.exchange.endpoints import (
 from rx90_common.exchange.lifecycle import Diagnostics, ManagedNode, started
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.parameters import nested
-from rx90_common.exchange.ros_start import missing_control_msgs, missing_controller_manager_msgs
+from rx90_common.exchange.ros_start import missing_messages
 from rx90_common.exchange.topics import (
     COMMANDED_CORRECTION,
     CORRECTION,
@@ -68,7 +67,6 @@ from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.node.simulation_mode import SimulationMode
 from rx90_controller.servo.events import TorqueSwitch
-from rx90_controller.trajectory.points import check_trajectory_bytes
 from rx90_controller.trajectory.request import Constraints, GoalOptions, GoalTolerances
 from rx90_controller.trajectory.stream import from_message
 
@@ -132,7 +130,7 @@ class Control:
         )
 
         def topic(name: str) -> Publisher:
-            return publish(node, JointState, f"~/{name}", STATE_QOS)
+            return node.create_publisher(JointState, f"~/{name}", STATE_QOS)
 
         # The arrays are always the same, brought up to date by a call of the same method.
         codec = JointStateCodec(cs7b.joint_names)
@@ -173,14 +171,17 @@ class Control:
             node,
             "client_interfaces",
             "the action follow_joint_trajectory is",
-            missing_control_msgs(),
+            missing_messages("control_msgs"),
         )
         self.clients: ClientInterfaces | None = None
         if interfaces is not None:
             self.clients = interfaces.ClientInterfaces(node, loop, cs7b, state_ticks, channel)
         manager = parameters.controller_manager
         if manager and (services := import_optional(
-            node, "manager_services", "the services of a controller_manager are", missing_controller_manager_msgs()
+            node,
+            "manager_services",
+            "the services of a controller_manager are",
+            missing_messages("controller_manager_msgs"),
         )):  # fmt: skip
             services.ManagerServices(
                 node, manager, loop, cs7b.joint_names, name, (rates.position_hz, rates.base_hz)
@@ -202,17 +203,8 @@ class Control:
             SimulationMode(node, self._on_mode)
         # Before that of the trajectories: of two that wait the executor takes the first one first.
         correction = f"~/{COMMANDED_CORRECTION}"
-        subscribe(
-            node,
-            JointTrajectory,
-            correction,
-            loop.receive_correction,
-            TRAJECTORY_QOS,
-            check_trajectory_bytes,
-        )
-        subscribe(
-            node, JointTrajectory, _TRAJECTORY, loop.receive, TRAJECTORY_QOS, check_trajectory_bytes
-        )
+        subscribe(node, JointTrajectory, correction, loop.receive_correction, TRAJECTORY_QOS)
+        subscribe(node, JointTrajectory, _TRAJECTORY, loop.receive, TRAJECTORY_QOS)
         for kind, source in ((JointState, _SET_POINTS), (Float64MultiArray, _COMMANDS)):
             subscribe(node, kind, source, partial(self._on_set_point, source), TRAJECTORY_QOS)
 

@@ -20,7 +20,6 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.quoting import counted
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
-from rx90_common.exchange import endpoints
 from rx90_common.exchange.client_node import (
     POLL,
     ClientNode,
@@ -148,15 +147,15 @@ class TrajectoryClient:
     def _settle(self) -> None:
         """Wait until all subscribers that the graph shows, a recorder for example, are matched, and no more appear.
 
-        The graph discovers its members one by one. Subscribers with another quality of service are not waited for, and
-        those that cannot be matched no longer than the client's timeout.
+        The graph discovers its members one by one. Subscribers that cannot be matched are waited for no longer than the
+        client's timeout.
         """
         publisher = self._publisher
         before = -1
         since = time.monotonic()
         deadline = since + self._client.timeout
         while time.monotonic() < since + _SETTLED:
-            known = endpoints.fitting_subscriptions(self._client.node, publisher)
+            known = self._client.node.count_subscribers(self.topic)
             have = publisher.get_subscription_count()
             if have != before or have < known:
                 before = have

@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.bags.topics import POINT_FIELDS
 from rx90_common.base.arrays import Array, Mask, array_digest
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.quoting import counted, quoted
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
-from rx90_common.exchange.cdr import CdrReader
 from rx90_controller.trajectory.correction import Correction
 
 LONGEST = 3600.0
@@ -29,7 +27,6 @@ _REST_VELOCITY = float(np.finfo(np.float32).eps)  # rad/s
 _REPEATED_TIME = 0.999e-3
 _REPEATED_POSITION = 1e-4
 _REPEATED_VELOCITY = 1e-9
-_MIN_POINT_BYTES = 4 * len(POINT_FIELDS) + 8  # four empty sequences and a time
 
 
 @dataclass(frozen=True)
@@ -286,23 +283,6 @@ def _last_is_repeated(
 
 
 # Messages.
-
-
-def check_trajectory_bytes(raw: bytes) -> None:
-    """Check that the CDR bytes of a JointTrajectory are whole.
-
-    Raises:
-        ExchangeError: naming the field in which they are not.
-    """
-    reader = CdrReader(raw)
-    reader.stamp_ns()
-    reader.string("header.frame_id")
-    for i in range(reader.count("joint_names", least_bytes=4)):
-        reader.string(f"joint_names[{i}]")
-    for i in range(reader.count("points", least_bytes=_MIN_POINT_BYTES)):
-        for name in POINT_FIELDS:
-            reader.doubles(f"points[{i}].{name}")
-        reader.duration(f"points[{i}].time_from_start")
 
 
 def points_from_message(

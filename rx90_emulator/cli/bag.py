@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from rx90_common.bags.recorder.stream import TopicCount
 
 _MAX_STAMP = 4_294_967_296  # s: stamps count so far, and two of them do not overflow 64 bits of ns
-_KINDS = ("csv", "parquet", "npz")
 # What several verbs have in common.
 _BAG: dict[str, Any] = {"metavar": "BAG", "help": "bag: folder, .mcap, .db3 or ROS 1 .bag file"}
 _NOTHING_WRITTEN = "nothing was written"
@@ -138,12 +137,6 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     _add_topics(parser, "all")
     parser.add_argument(
-        "--from", dest="start", metavar="S", help="leave out stamps before this time in s"
-    )
-    parser.add_argument(
-        "--to", dest="end", metavar="S", help="leave out stamps after this time in s"
-    )
-    parser.add_argument(
         "--common-range",
         action="store_true",
         help="stamps before or after what both bags have make no difference",
@@ -168,8 +161,6 @@ def _compare(args: argparse.Namespace) -> int:
 
     scope = Scope(
         topics=tuple(dict.fromkeys(args.topics)) if args.topics else None,
-        start_ns=None if args.start is None else _time("--from", args.start),
-        end_ns=None if args.end is None else _time("--to", args.end),
         common_range=args.common_range,
         align=alignment(args.align),
     )
@@ -207,24 +198,18 @@ def _path(args: argparse.Namespace) -> None:
 
 
 def alignment(text: str) -> int | str:
-    """Return what --align says, as `Scope` takes it."""
+    """Return what --align says, as `Scope` takes it; times in ns, exactly, which floating point would spoil."""
     from rx90_common.bags.recorded import START, TRAJECTORY
 
-    return (
-        text
-        if text in (START, TRAJECTORY)
-        else _time("--align", text, f"{START}, {TRAJECTORY}, or a time in s")
-    )
-
-
-def _time(option: str, text: str, accepted: str = "a time in s, e.g. 1.25") -> int:
-    """Return a time in ns without the detour over floating point, which spoils stamps of the wall clock."""
+    if text in (START, TRAJECTORY):
+        return text
     try:
         if abs(time := Decimal(text)) <= _MAX_STAMP:  # raises for what is no number
             return int(time * NANOSECONDS)
     except (InvalidOperation, ValueError):
         pass
-    raise BagError(f"{option} is {quoted(text)}; accepted: {accepted}, up to {_MAX_STAMP:,} s")
+    accepted = f"{START}, {TRAJECTORY}, or a time in s, up to {_MAX_STAMP:,} s"
+    raise BagError(f"--align is {quoted(text)}; accepted: {accepted}")
 
 
 def _add_plot(parser: argparse.ArgumentParser) -> None:
@@ -262,28 +247,24 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted=_NOTHING_WRITTEN)
     parser.add_argument("bag", type=Path, **_BAG)
     _add_signals(parser)
-    text = "FILE.csv, .parquet or .npz of one topic, or a folder; must not exist"
+    text = "FILE.csv or .parquet of one topic, or a folder; must not exist"
     add_output(parser, new_folder, text, metavar="FILE|FOLDER", required=True)
     _add_topics(parser, "all")
-    parser.add_argument(
-        "--format", choices=_KINDS, help="make a folder of such files (the suffix, else csv)"
-    )
 
 
 def _export(args: argparse.Namespace) -> None:
-    """Write joint states of a bag as tables: CSV, Parquet, or NPZ with names that MATLAB takes.
+    """Write joint states of a bag as tables: CSV or Parquet.
 
-    The suffix of --output says the format; without one it is a folder with a file for each topic. Every number keeps
-    all its bits: `rx90 bag import` makes an equal bag of exported CSV files.
+    The suffix of --output says the format; without one it is a folder with a CSV file for each topic. Every number
+    keeps all its bits: `rx90 bag import` makes an equal bag of exported CSV files.
     """
     from rx90_common.bags.exporting import export_bag
     from rx90_emulator.cli.options import progress_bar
 
-    kind = None if args.format is None else f".{args.format}"
     mapping = _signals(args)
     with progress_bar("export") as progress:
         topics = export_bag(
-            args.bag, args.output, topics=args.topics, kind=kind, progress=progress, mapping=mapping
+            args.bag, args.output, topics=args.topics, progress=progress, mapping=mapping
         )
     for topic, count in topics.items():
         print(f"{plain(topic)}: {counted(count, 'message')}")
@@ -297,9 +278,6 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help="log to read")
     parser.add_argument("bag", type=new_folder, metavar="BAG", help="bag to make; must not exist")
     _add_signals(parser)
-    parser.add_argument(
-        "--skip-corrupt", action="store_true", help="leave out damaged rows, and say which"
-    )
 
 
 def _import(args: argparse.Namespace) -> None:
@@ -307,12 +285,10 @@ def _import(args: argparse.Namespace) -> None:
     from rx90_common.bags.logs import read_log
     from rx90_common.bags.writing import write_joint_states
 
-    log = read_log(args.log, _signals(args), skip_corrupt=args.skip_corrupt)
-    write_joint_states(args.bag, log.series)
-    for series in log.series:
+    log = read_log(args.log, _signals(args))
+    write_joint_states(args.bag, log)
+    for series in log:
         print(f"{plain(series.topic)}: {counted(len(series.stamp_ns), 'message')}")
-    if log.corrupt:
-        print(f"left out: {log.corrupt}")
     print(f"bag: {plain(args.bag)}")
 
 
@@ -351,7 +327,7 @@ _VERBS = (
     (_add_compare, _compare, "compare two bags; exit 0 same, 1 differs, 2 cannot be compared"),
     (_add_path, _path, "print how far the tip was from the path of its set-points"),
     (_add_plot, _plot, "draw one bag, or two over each other, as a page"),
-    (_add_export, _export, "write a bag as CSV, Parquet or NPZ"),
+    (_add_export, _export, "write a bag as CSV or Parquet"),
     (_add_import, _import, "make a bag from a CSV log; a file says what its columns hold"),
     (_add_info, _info, "summarise a bag"),
 )

@@ -16,7 +16,6 @@ from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.models import fault_lines
 from rx90_common.base.quoting import plain, quoted
-from rx90_common.exchange.endpoints import PREFIX
 from rx90_common.exchange.parameters import OF_ROS, NodeModel, flat
 from rx90_controller.node.parameters import ControllerParameters, unused_parameters
 from rx90_emulator.configuration.kinds import NODE_PARAMETERS, FileKind
@@ -37,7 +36,7 @@ def node_faults(node: str, given: Mapping[str, Any]) -> list[str]:
     These are single values or, if those are right, what does not go together.
     """
     model = NODES[node]
-    others = {name for name in given if name in OF_ROS or name.startswith(PREFIX)}
+    others = {name for name in given if name in OF_ROS}
     if model is ControllerParameters:
         others |= {*unused_parameters(given)}
     content: dict[str, Any] = {}

@@ -7,8 +7,9 @@ from typing import Any, Final
 import numpy as np
 
 from rx90_common.bags.topics import JOINT_TRAJECTORY, PARAMETER_EVENT, POINT_FIELDS
-from rx90_common.bags.writing import SingleMessage, typestore
+from rx90_common.bags.writing import SingleMessage
 from rx90_common.base.rates import NANOSECONDS
+from rx90_common.exchange.message_types import typestore
 
 _INTEGER: Final = 2  # of rcl_interfaces/ParameterType
 

@@ -21,7 +21,7 @@ from rx90_common.base.rates import ticks_per
 from rx90_common.description.kinematics import LinkTransforms
 from rx90_common.description.robot import RobotModel
 from rx90_common.exchange.cdr import JointStateCodec, TransformCodec
-from rx90_common.exchange.endpoints import CLOCK_QOS, LATCHED_QOS, STATE_QOS, publish, ros_time
+from rx90_common.exchange.endpoints import CLOCK_QOS, LATCHED_QOS, STATE_QOS, ros_time
 from rx90_common.exchange.topics import SAMPLED, SAMPLED_RATE
 from rx90_common.process.requirements import missing_module
 from rx90_sim.node.parameters import SimulationParameters
@@ -104,7 +104,7 @@ class Publications:
         sampled_ticks = max(1, rates.base_hz // SAMPLED_RATE)
         self._messages = []
         for name, encode in (("joint_states", joints), ("friction_states", friction)):
-            publisher = publish(node, JointState, name, STATE_QOS)
+            publisher = node.create_publisher(JointState, name, STATE_QOS)
             self._messages.append(PeriodicMessage(publisher, ticks, encode))
             sampled = node.create_publisher(JointState, f"{SAMPLED}/{name}", CLOCK_QOS)
             self._messages.append(
@@ -114,7 +114,7 @@ class Publications:
             self._messages.append(self._transforms(node, robot, parameters))
         self._messages.append(
             PeriodicMessage(
-                publish(node, Clock, "/clock", CLOCK_QOS),
+                node.create_publisher(Clock, "/clock", CLOCK_QOS),
                 ticks_per("clock_rate", rates.base_hz, parameters.clock_rate),
                 lambda stamp: Clock(clock=ros_time(stamp)),
             )

@@ -42,7 +42,7 @@ def documented(heading: str) -> dict[str, str]:
 
 @pytest.mark.ros
 def test_parameters_are_those_of_the_nodes(nodes: Sequence[NodeReference]) -> None:
-    """Name, default, range, meaning and quality of service of every parameter are what running nodes declare."""
+    """Name, default, range and meaning of every parameter are what running nodes declare."""
     text = PAGE.read_text(encoding="utf-8")
     assert text == with_tables(text, nodes), "run python -m tools.node_reference"
     assert {node.name for node in nodes} == set(re.findall(r"<!-- parameters of (\w+) -->", text))

@@ -11,10 +11,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 
-from rx90_common.base.errors import ExchangeError, Rx90Error, TrajectoryError
+from rx90_common.base.errors import Rx90Error, TrajectoryError
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.paths import straight
-from rx90_controller.trajectory.points import check_trajectory_bytes
 from rx90_controller.trajectory.spline import interpolate
 
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
@@ -101,24 +100,6 @@ def test_rest_is_what_joint_trajectory_controller_takes_for_it() -> None:
     with pytest.raises(TrajectoryError, match=r"joint_2 ends at 1\.19209e-07 rad/s; accepted: 0 within 1\.19e-07"):
         create(velocity=[REST, REST, beyond])
     assert create(velocity=[REST, REST, beyond], moving_end=True).velocity[-1].tolist() == beyond
-
-
-def test_broken_bytes_of_a_trajectory_are_named_by_their_field() -> None:
-    """A whole message passes; cut off anywhere, or with a length beyond its end, it is refused with the field."""
-    # What rclpy makes of one joint "a" and one point at 0.5 rad and 2 s, stamped 1 s.
-    message_bytes = bytes.fromhex(
-        "00010000 01000000 00000000 01000000 00000000 01000000 02000000 61000000 01000000"
-        "01000000 00000000 000000000000e03f 00000000 00000000 00000000 02000000 00000000"
-    )
-    check_trajectory_bytes(message_bytes)
-    for length in range(len(message_bytes)):
-        with pytest.raises(ExchangeError, match="message is cut off"):
-            check_trajectory_bytes(message_bytes[:length])
-    at = message_bytes.index(b"a") + 4
-    for wrong, field in ((at, "points"), (at + 4, r"points\[0\].positions")):
-        broken = message_bytes[:wrong] + b"\xff\xff\xff\x7f" + message_bytes[wrong + 4 :]
-        with pytest.raises(ExchangeError, match=f"cut off in {field}: 2147483647 elements announced"):
-            check_trajectory_bytes(broken)
 
 
 Array = NDArray[np.float64]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import struct
 
 import numpy as np
 import pytest
@@ -64,14 +63,14 @@ def assert_same(decoded, stamp_ns, arrays):
 @given(messages())
 def test_encoding_equals_the_one_of_rosbags(message):
     """Every message is byte for byte what an independent CDR serialiser with zero padding writes."""
-    names, frame_id, stamp_ns, arrays = message
-    raw = JointStateCodec(names, frame_id).encode(stamp_ns, *arrays)
-    assert raw == rosbags_bytes(names, frame_id, stamp_ns, arrays)
+    names, _, stamp_ns, arrays = message
+    raw = JointStateCodec(names).encode(stamp_ns, *arrays)
+    assert raw == rosbags_bytes(names, "", stamp_ns, arrays)
     two = [None if values is None else np.stack([values, values[::-1]]) for values in arrays]
-    rows = JointStateCodec(names, frame_id).encode_many(np.array([stamp_ns, 0]), *two)
+    rows = JointStateCodec(names).encode_many(np.array([stamp_ns, 0]), *two)
     second = [None if values is None else values[1] for values in two]
     assert rows[0].tobytes() == raw
-    assert rows[1].tobytes() == rosbags_bytes(names, frame_id, 0, second)
+    assert rows[1].tobytes() == rosbags_bytes(names, "", 0, second)
 
 
 @given(messages(), messages(), st.randoms(use_true_random=False), st.booleans())
@@ -116,19 +115,18 @@ FULL = JointStateCodec(MOTORS).encode(0, effort=np.ones(6))
 @pytest.mark.parametrize(
     ("raw", "complaint"),
     [
-        (b"\0\1\0\0", "cut off in header.stamp"),
-        (FULL[:-9], "cut off in effort"),
-        (FULL + bytes(16), "16 bytes behind its end"),
-        (b"\0\7\0\0" + FULL[4:], "encapsulation 0x0007"),
-        (encoded(names=(*MOTORS[:5], "motor_7")), "'motor_7' is unknown; accepted: motor_1, motor_2"),
-        (encoded(names=(*MOTORS[:5], "motor_1")), "'motor_1' is repeated"),
+        (b"\0\1\0\0", "4 bytes, no sensor_msgs/msg/JointState"),
+        (FULL[:-9], "no sensor_msgs/msg/JointState"),
+        (FULL + bytes(16), "no sensor_msgs/msg/JointState"),
+        (b"\0\7\0\0" + FULL[4:], "no sensor_msgs/msg/JointState"),
+        (encoded(names=(*MOTORS[:5], "motor_7")), "motor_5, motor_7; accepted: motor_1, motor_2"),
+        (encoded(names=(*MOTORS[:5], "motor_1")), "motor_5, motor_1; accepted: motor_1, motor_2"),
         (encoded(arrays=(None, None, np.ones(7))), "effort has 7 elements; accepted: 6 or none"),
         (encoded(arrays=(None, np.array([0, 0, np.nan, 0, 0, 0]), None)), "velocity of motor_3 is nan"),
-        (FULL[:8] + struct.pack("<I", NS) + FULL[12:], "nanosec is 1000000000"),
     ],
 )
 def test_bad_messages_are_refused_by_name(raw, complaint):
-    """Each kind of bad message is refused with the offending value, whichever layout was expected."""
+    """Each kind of bad message is refused with what is accepted, whichever layout was expected."""
     codec = JointStateCodec(MOTORS)
     for expected in (FULL, encoded(arrays=np.ones((3, 6)))):
         codec.decode(expected)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.exchange.ros_start import missing_control_msgs, prepare
+from rx90_common.exchange.ros_start import missing_messages, prepare
 
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -119,7 +119,7 @@ def test_missing_types_are_one_line_that_says_how_to_get_them(
     for name in [name for name in sys.modules if name.partition(".")[0] == "control_msgs"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setenv("ROS_DISTRO", distribution)
-    assert missing_control_msgs() == f"needs control_msgs, which is not installed; accepted: {accepted}"
+    assert missing_messages("control_msgs") == f"needs control_msgs, which is not installed; accepted: {accepted}"
 
 
 STUCK = """

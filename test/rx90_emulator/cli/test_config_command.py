@@ -244,8 +244,8 @@ OFFERED = {
     "rx90 identify ": {"sliding", "excitation", "check", "compare"},
     "friction_bench --ros-": {"--ros-args"},
     "rx90 rig selftest --po": {"--port"},
-    "rx90 bag export --for": {"--format"},
-    "rx90 bag export --format ": {"csv", "npz"},
+    "rx90 run --fee": {"--feed-forward"},
+    "rx90 run --feed-forward ": {"all", "none"},
     "rx90 bag record motor_s": {"motor_states"},
     "rx90 run --robot r": {"rx90b", "robots"},
     "rx90 identify sliding --presl": {"--presliding"},
@@ -256,7 +256,7 @@ OFFERED = {
     **{f"{name} --": {"--help"} for name in EXECUTABLES},
 }
 """What completion offers at least behind some words, in a folder with `robots` and `my_task.yaml`."""
-IN_FISH = {words: OFFERED[words] for words in ("rx90 bag ", "rx90 bag export --format ", "rx90 sweep run sweep/p")}
+IN_FISH = {words: OFFERED[words] for words in ("rx90 bag ", "rx90 run --feed-forward ", "rx90 sweep run sweep/p")}
 IN_FISH |= {"rx90 run --robot ": {"rx90b", "tx40"}, "rx90 config check m": {"my_task.yaml"}}
 
 
