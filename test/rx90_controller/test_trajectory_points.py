@@ -187,8 +187,9 @@ def test_between_its_ends_it_is_the_mean_of_the_lines_over_each_ramp() -> None:
     width = np.where(at < 1.15, half[0], half[1])
     width = np.where((at > 0.8 + half[0]) & (at < 1.5 - half[1]), 1e-9, width)
     assert inner[:, 0] == pytest.approx(averaged(times, lines, at, width), abs=1e-7)
-    blend_error = np.abs(got.sample(np.array([0.8, 1.5]))[:, 0] - position[1:3]).max()
-    assert got.blend_error == pytest.approx(blend_error)
+    missed = np.abs(got.sample(np.array([0.8, 1.5]))[:, 0] - position[1:3])
+    change = np.abs([slope[1] - fast[0], fast[1] - slope[1]])
+    assert missed == pytest.approx(change * np.array(half)[:, None] / 4.0)
     assert got.sample(np.array([np.nextafter(2.4, 0.0)]))[0, 0] == pytest.approx(position[3], abs=1e-12)
 
 
