@@ -17,9 +17,9 @@ from rx90_controller.trajectory.spline import (
     FollowedPath,
     Path,
     Spline,
+    interpolate,
     joined,
     resting,
-    smooth,
 )
 from rx90_controller.trajectory.stream import POSITION, SetPoints, Stream, StreamOptions
 
@@ -69,7 +69,7 @@ class TrajectoryGenerator:
         joints = len(self.limits.names)
         rest = np.zeros((2, joints))
         held = np.zeros((3, joints))
-        spline = smooth(np.array([0.0, 1.0]), rest, rest)
+        spline = interpolate(np.array([0.0, 1.0]), rest, rest, None)
         self._followed(0, Path(spline, 0.0, 1.0)).halted(0, 1)
         every = np.ones(joints, dtype=np.bool_)
         stream = Stream(POSITION, every, self.limits, self.period, StreamOptions())

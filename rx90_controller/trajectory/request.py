@@ -26,8 +26,6 @@ from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.generator import Schedule, TrajectoryGenerator
 from rx90_controller.trajectory.points import TrajectoryPoints, check_joints, points_from_message
 
-# the rows of tolerances
-_QUANTITIES = (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s^2"))
 _ERASE = 1.2e-7  # float's epsilon: how near to -1 a tolerance erases the default
 
 
@@ -116,7 +114,7 @@ class GoalTolerances:
 
     Attributes:
         names: of the joints.
-        path: of position rad, velocity rad/s and acceleration rad/s^2 along the path, shape (3, j).
+        path: of the positions along the path, rad, shape (j,).
         goal: likewise at its end.
         goal_time: how long after its end the goal may take to be reached, s; infinite for "for ever".
     """
@@ -133,11 +131,8 @@ class GoalTolerances:
         """Return the tolerances of the node's parameters, by default those that it has if none are given."""
         constraints = constraints or Constraints()
         joints = [constraints.joints.get(name, JointConstraints()) for name in names]
-        path = np.full((3, len(names)), np.inf)
-        goal = np.full((3, len(names)), np.inf)
-        path[0] = [joint.trajectory or math.inf for joint in joints]
-        goal[0] = [joint.goal or math.inf for joint in joints]
-        goal[1] = constraints.stopped_velocity_tolerance or math.inf
+        path = np.array([joint.trajectory or math.inf for joint in joints])
+        goal = np.array([joint.goal or math.inf for joint in joints])
         return cls(tuple(names), path, goal, constraints.goal_time or math.inf)
 
     @cached_property
@@ -148,7 +143,8 @@ class GoalTolerances:
     def of_goal(self, path: Sequence[Any], goal: Sequence[Any], goal_time: float) -> GoalTolerances:
         """Return these with those of a goal in their place, as joint_trajectory_controller reads them.
 
-        0, and what is no number, keeps the default, -1 erases it; of several for a joint the last one counts.
+        0, and what is no number, keeps the default, -1 erases it; of several for a joint the last one counts. Those of
+        velocity and acceleration end nothing, as there, but must be such numbers.
 
         Args:
             path: control_msgs/JointTolerance: name, position, velocity, acceleration.
@@ -171,26 +167,24 @@ class GoalTolerances:
                     raise TrajectoryError(
                         f"{what}: joint {quoted(name)} is unknown; accepted: {accepted}"
                     )
-                joint = self.names.index(name)
-                for row, (field, unit) in enumerate(_QUANTITIES):
+                for field, unit in (("velocity", "rad/s"), ("acceleration", "rad/s^2")):
                     value = float(getattr(tolerance, field))
-                    table[row, joint] = _resolved(
-                        f"{what}: {field} of {name}", unit, value, defaults[row, joint]
-                    )
+                    _resolved(f"{what}: {field} of {name}", unit, value, math.inf)
+                joint = self.names.index(name)
+                value = float(tolerance.position)
+                text = f"{what}: position of {name}"
+                table[joint] = _resolved(text, "rad", value, defaults[joint])
             tables.append(table)
         most = _resolved("goal_time_tolerance", "s", goal_time, self.goal_time)
         return GoalTolerances(self.names, tables[0], tables[1], most)
 
-    def worst(self, error: Array, limit: Array) -> str | None:
-        """Return the relatively largest violation of a tolerance of position, in words; None without one.
-
-        joint_trajectory_controller leaves the errors of velocity and acceleration at 0 where it commands positions.
+    def worst(self, error: Array, accepted: Array) -> str | None:
+        """Return the relatively largest violation of a tolerance, in words; None without one.
 
         Args:
             error: of position, rad, shape (j,).
-            limit: one of `path` and `goal`.
+            accepted: one of `path` and `goal`.
         """
-        accepted = limit[0]
         beyond = ~(np.abs(error) <= accepted) & np.isfinite(accepted)
         if not beyond.any():
             return None
