@@ -259,48 +259,9 @@ def connect(
         position = np.vstack([held[0], position[1:]])
     if velocity is None:
         return straight(times, position, held[1], limits, first=points.first - later)
-    if points.degrees is not None:
-        degrees = points.degrees if later else points.degrees[1:]
-        velocity = np.vstack([held[1] if degrees[0] == 1 else velocity[0], velocity[1:]])
-        return _by_degrees(
-            times, (position, velocity, acceleration), degrees, limits, points.first - later
-        )
     if points.smooth:
         return smooth(times, position, velocity)
     return interpolate(times, position, velocity, acceleration)
-
-
-def _by_degrees(
-    times: Array,
-    tables: tuple[Array, Array, Array | None],
-    degrees: NDArray[np.intp],
-    limits: JointLimits,
-    first: int,
-) -> Spline:
-    """Return the spline through points, the ways between which have the given degrees, shape (n - 1,).
-
-    Args:
-        times: s, shape (n,).
-        tables: positions, velocities and, if any are given, accelerations, shape (n, j) each.
-        degrees: 1, 3 or 5.
-        limits: whose accelerations the ramps of straight lines have, at both ends from and to the velocities there.
-        first: number of the first point, for refusals.
-    """
-    position, velocity, acceleration = tables
-    begins = np.flatnonzero(np.diff(degrees, prepend=0))
-    parts = []
-    for begin, end in zip(begins, [*begins[1:], len(degrees)], strict=True):
-        run = slice(begin, end + 1)
-        q = position[run]
-        v = velocity[run]
-        if degrees[begin] == 1:
-            parts.append(straight(times[run], q, v[0], limits, first + int(begin), v[-1]))
-        else:
-            a = acceleration[run] if acceleration is not None and degrees[begin] == 5 else None
-            parts.append(interpolate(times[run], q, v, a))
-    knots = np.concatenate([*(part.times[:-1] for part in parts), times[-1:]])
-    coefficients = np.concatenate([part.coefficients for part in parts])
-    return Spline(knots, coefficients, position[-1].copy())
 
 
 def straight(
@@ -309,7 +270,6 @@ def straight(
     velocity: Array,
     limits: JointLimits,
     first: int = 0,
-    end_velocity: Array | float = 0,
 ) -> Spline:
     """Return straight lines through points, with ramps of the velocity.
 
@@ -321,7 +281,6 @@ def straight(
         velocity: at the first point, rad/s, shape (j,).
         limits: whose accelerations the ramps have.
         first: number of the first point, for refusals.
-        end_velocity: at the last point, rad/s, shape (j,).
 
     Raises:
         TrajectoryError: naming the first point that comes too early for the ramps.
@@ -330,15 +289,15 @@ def straight(
     way = np.diff(position, axis=0)
     speed = way / span[:, None]
     last = len(span) - 1
-    final = np.zeros(position.shape[1]) + end_velocity
+    rest = np.zeros(position.shape[1])
     if last == 0:
-        begin = end = _both_ends(first + 1, span[0], way[0], (velocity, final), limits)
-        speed[0] = (way[0] - (velocity + final) * (begin / 2.0)) / (span[0] - begin)
+        begin = end = _both_ends(first + 1, span[0], way[0], velocity, limits)
+        speed[0] = (way[0] - velocity * (begin / 2.0)) / (span[0] - begin)
     else:
         begin = _one_end(first + 1, span[0], way[0], velocity, limits)
         speed[0] = (way[0] - velocity * (begin / 2.0)) / (span[0] - begin / 2.0)
-        end = _one_end(first + last + 1, span[last], way[last], final, limits)
-        speed[last] = (way[last] - final * (end / 2.0)) / (span[last] - end / 2.0)
+        end = _one_end(first + last + 1, span[last], way[last], rest, limits)
+        speed[last] = way[last] / (span[last] - end / 2.0)
     change = np.diff(speed, axis=0)
     half = (np.abs(change) / (2.0 * limits.acceleration)).max(axis=1, initial=0.0)
     # The ramps at the two ends of each line leave room for each other.
@@ -354,7 +313,7 @@ def straight(
     ramp = np.concatenate([[begin], 2.0 * half, [end]])
     start = np.concatenate([[times[0]], times[1:-1] - half, [times[-1] - end]])
     cruise = np.append(start[1:], start[-1] + ramp[-1]) - (start + ramp)
-    around = np.vstack([velocity, speed, final])
+    around = np.vstack([velocity, speed, rest])
     before = around[:-1]
     after = around[1:]
     kept = np.column_stack([ramp > 0.0, cruise > 0.0]).ravel()  # those of no duration are left out
@@ -382,20 +341,17 @@ def _one_end(point: int, span: float, way: Array, velocity: Array, limits: Joint
     return float((span - np.sqrt(span * span - missing)).max())
 
 
-def _both_ends(
-    point: int, span: float, way: Array, ends: tuple[Array, Array], limits: JointLimits
-) -> float:
-    """Return the duration of the ramps at both ends of a single line, s, from and to the velocities there.
+def _both_ends(point: int, span: float, way: Array, velocity: Array, limits: JointLimits) -> float:
+    """Return the duration of the ramps at both ends of a single line, s, from a velocity and to rest.
 
-    way = (v0 + v) tau/2 + v (span - 2 tau) + (v + v1) tau/2, with |v - v0| <= a tau and |v - v1| <= a tau; each
-    is a quadratic inequality in tau.
+    way = (v0 + v) tau/2 + v (span - 2 tau) + v tau/2, with |v - v0| <= a tau and |v| <= a tau; each is a quadratic
+    inequality in tau.
     """
     a = limits.acceleration
-    (v0, v1) = ends
     least = 0.0
     most = span / 2.0
     for sign in (1.0, -1.0):
-        for b, c in (((v0 - v1) / 2.0, way - v1 * span), ((v1 - v0) / 2.0, way - v0 * span)):
+        for b, c in ((velocity / 2.0, way), (-velocity / 2.0, way - velocity * span)):
             middle = (span + sign * b / a) / 2.0
             square = middle * middle - sign * c / a
             _refuse_early(point, square < 0.0, span, way, limits)

@@ -9,12 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from joint_moves import HOME, LIMITS, NAMES, PERIOD, ZERO, move, points
-from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
-from rx90_controller.trajectory.points import message_content
 
 
 def test_a_stop_brakes_each_joint_within_its_limit_and_holds(generator: TrajectoryGenerator) -> None:
@@ -42,52 +40,6 @@ def test_each_end_is_told_once(generator: TrajectoryGenerator) -> None:
     generator.delay(70, 1170)
     assert [tick for tick in range(1170, 1700) if generator.ended(tick) is not None] == [1570]
     assert told == [None] * 100
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_what_points_do_not_carry_is_interpolated_as_by_joint_trajectory_controller(seed: int) -> None:
-    """Between two points: quintic if both have accelerations, cubic if both have velocities, else a straight line.
-
-    The lines' velocity changes by ramps, from and to that of the curves beside them; a velocity between two lines
-    counts for nothing, and what is taken, made a message again, is the same motion.
-    """
-    random = np.random.default_rng(seed)
-    times = np.cumsum(random.uniform(0.8, 1.2, 7)) * (np.arange(7) > 0)
-    moves = random.random(7) < 0.6
-    bends = moves & (random.random(7) < 0.7)
-    q = HOME + np.where(times[:, None] > 0, random.uniform(-0.1, 0.1, (7, 6)), 0.0)
-    v, a = (random.uniform(-0.1, 0.1, (7, 6)) * given[:, None] for given in (moves, bends))
-    v[[0, -1]] = a[0] = 0.0
-    tables = [
-        q.tolist(),
-        *([r if m else [] for r, m in zip(t.tolist(), g, strict=True)] for t, g in ((v, moves), (a, bends))),
-    ]
-    sent = TrajectoryPoints.create(NAMES, NAMES, times.tolist(), *tables)
-    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    end = generator.accept(sent, 0, None).end
-    got = generator.setpoints(0, end + 1)
-    assert np.abs(np.diff(got[:, 1], axis=0)).max() <= 60.0 * PERIOD * (1 + 1e-9)
-    assert got[-1, 0] == pytest.approx(q[-1], abs=1e-12)
-    t = np.arange(end + 1) * PERIOD
-    for k in range(6):
-        inside = (t >= times[k]) & (t < times[k + 1])
-        most = 2 if bends[k] and bends[k + 1] else 1 if moves[k] and moves[k + 1] else 0
-        knots = [np.stack([table[i] for table in (q, v, a)[: most + 1]]) for i in (k, k + 1)]
-        want = BPoly.from_derivatives(times[k : k + 2], knots)
-        if most:
-            np.testing.assert_allclose(got[inside, 0], want(t[inside]), rtol=0, atol=1e-9)
-        else:
-            # A ramp is centred on its point, or beside a curve: there half of it is missed at most.
-            middle = np.flatnonzero(inside)[300:-300]
-            assert not got[middle, 2].any()
-            assert np.abs(got[middle, 0] - want(t[middle])).max() < 2e-3
-    messages = message_content(NAMES, sent)["points"]
-    again = ([message[name] for message in messages] for name in ("positions", "velocities", "accelerations"))
-    stamps = [message["time_from_start"] for message in messages]
-    again_times = [each["sec"] + each["nanosec"] * 1e-9 for each in stamps]
-    twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    twin.accept(TrajectoryPoints.create(NAMES, NAMES, again_times, *again), 0, None)
-    np.testing.assert_allclose(twin.setpoints(0, end + 1)[:, :2], got[:, :2], rtol=0, atol=1e-6)
 
 
 class Reference:
