@@ -23,7 +23,7 @@ from friction_bench.rig.messages import Fault, RigInputError, RigLostError, faul
 from friction_bench.rig.rig_file import load_rig
 from friction_bench.rig.serial_port import SerialPort
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_common.base.quoting import one_line, quoted
+from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.share import SHIPPED_RIG, resolve_config
 from rx90_common.exchange.endpoints import REQUEST_QOS, publish, ros_time
@@ -83,22 +83,18 @@ class BenchParameters(NodeModel):
         Raises:
             ConfigError: for a rig's file that is none, and a torque beyond its scale.
         """
-        name = given.get("rig", SHIPPED_RIG)
-        if not isinstance(name, str):
-            raise ConfigError(f"parameter rig is {quoted(name)}; accepted: a text")
-        rig = load_rig(resolve_config(name))
-        ramps = rig.ramps
+        rig = load_rig(resolve_config(str(given.get("rig", SHIPPED_RIG))))
         content = {
             "baud": rig.baud,
-            "ramp_slope": ramps.slopes[0],
-            "ramp_end_torque": ramps.end_torque,
+            "ramp_slope": rig.ramps.slopes[0],
+            "ramp_end_torque": rig.ramps.end_torque,
             **given,
         }
         torque = content["ramp_end_torque"]
-        if isinstance(torque, float) and torque > rig.torque.dac_full_scale:
-            most = f"{rig.torque.dac_full_scale:g}"
+        most = rig.torque.dac_full_scale
+        if isinstance(torque, float) and torque > most:
             raise ConfigError(
-                f"parameter ramp_end_torque is {torque:g}; accepted: a number in [0, {most}]"
+                f"parameter ramp_end_torque is {torque:g}; accepted: a number in [0, {most:g}]"
             )
         return content
 
@@ -163,12 +159,8 @@ class BenchNode:
 
     def _check(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         try:
-            BenchParameters.of(
-                {
-                    **parameter_values(self.node),
-                    **{parameter.name: parameter.value for parameter in parameters},
-                }
-            )
+            changed = {parameter.name: parameter.value for parameter in parameters}
+            BenchParameters.of(parameter_values(self.node) | changed)
         except Rx90Error as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -198,9 +190,8 @@ class BenchNode:
         self._commands.publish(command)
 
     def _ramp(self, client: RigClient) -> None:
-        client.start_ramp(
-            *(self.node.get_parameter(name).value for name in ("ramp_slope", "ramp_end_torque"))
-        )
+        values = parameter_values(self.node)
+        client.start_ramp(values["ramp_slope"], values["ramp_end_torque"])
 
     def _submit(self, job: Callable[[RigClient], None]) -> None:
         future = self._link.submit(job)
@@ -216,12 +207,15 @@ class BenchNode:
         self._emulated.load(loaded)
 
     def _collect(self) -> tuple[bytes, str, dict[str, str]]:
-        report = self._link.last
-        bad, lost = self._link.damage
-        values = {"bad frames": str(bad), "lost reports": str(lost)}
-        if not self._link.connected or report is None:
-            return DiagnosticStatus.ERROR, "no connection to the rig", values
-        values |= {
+        client = self._link.client
+        # once: the link's thread forgets it at a reset
+        last = None if client is None else client.last
+        if client is None or last is None:
+            return DiagnosticStatus.ERROR, "no connection to the rig", {}
+        report = last.report
+        values = {
+            "bad frames": str(client.bad_frames),
+            "lost reports": str(client.lost_reports),
             "state": report.state.name.lower(),
             "fault": fault_text(report.fault),
             "frames the rig refused": str(report.bad_frames),

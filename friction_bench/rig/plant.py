@@ -10,7 +10,6 @@ law moves by the arm's own steps of rx90_common/friction, with all parts of its 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -200,7 +199,6 @@ class RigPlant:
         self._gain = 1.0 + rig.emulation.amplifier.gain_error * self._rng.standard_normal()
         self._ramp_gain = 1.0
         self._last_count = math.floor(self._phase)
-        self._noise = self._normals()
 
     def load(self, loaded: bool) -> None:
         """Couple the revolute joint to the load shaft, or take it off; the shaft is at rest then."""
@@ -213,15 +211,11 @@ class RigPlant:
         """Draw the differences from ramp to ramp: the torque's scale, and the joint's Coulomb friction."""
         p = self.parameters
         if p.amplifier.ramp_error:
-            self._ramp_gain = 1.0 + p.amplifier.ramp_error * next(self._noise)
+            self._ramp_gain = 1.0 + p.amplifier.ramp_error * self._rng.standard_normal()
         if p.joint_spread and isinstance(p.joint, JointFriction):
-            drawn = max(0.0, 1.0 + p.joint_spread * next(self._noise))
+            drawn = max(0.0, 1.0 + p.joint_spread * self._rng.standard_normal())
             coulomb = p.motor_friction.coulomb + drawn * p.joint.coulomb / self.rig.joint_scale
             self._shafts[True] = self._shafts[True]._replace(coulomb=coulomb)
-
-    def _normals(self) -> Iterator[float]:
-        while True:
-            yield from self._rng.standard_normal(4096).tolist()
 
     def motor_torque(self, command: float, dt: float) -> float:
         """Return the torque, Nm, that the amplifier makes of `command` over `dt`.
@@ -232,7 +226,7 @@ class RigPlant:
             return 0.0
         motor = self.parameters.motor
         deviation = self.parameters.amplifier.torque_noise
-        noise = deviation * math.sqrt(1e-3 / dt) * next(self._noise) if deviation else 0.0
+        noise = deviation * math.sqrt(1e-3 / dt) * self._rng.standard_normal()
         highest = (
             (motor.supply - motor.torque_constant * self.speed)
             / motor.resistance
@@ -262,4 +256,6 @@ class RigPlant:
 
     def current_reading(self) -> float:
         """Return the output of the current sense amplifier, as motor torque, Nm."""
-        return max(0.0, self.torque + self.parameters.amplifier.adc_noise * next(self._noise))
+        return max(
+            0.0, self.torque + self.parameters.amplifier.adc_noise * self._rng.standard_normal()
+        )
