@@ -38,7 +38,6 @@ from friction_bench.experiment.session import near_limits
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort, native_library
 from friction_bench.rig.plant import (
-    SLICE,
     RigJoint,
     Shaft,
     joint_record,
@@ -232,7 +231,7 @@ class QuickRig:
             (plant.motor.torque_constant, plant.motor.resistance, plant.motor.supply),
             shaft,
             (rig.gear.ratio, rig.gear.efficiency, plant.load_inertia + plant.joint_inertia),
-            joint_record(element, rig.gear.ratio, SLICE, self.seed),
+            joint_record(element, rig.gear.ratio, self.seed),
             loaded and isinstance(joint, FrictionElement),
         )
         scale = rig.counts_per_revolution / math.tau

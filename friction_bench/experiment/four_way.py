@@ -58,6 +58,7 @@ class Pair(NamedTuple):
         worst: over the whole ramp.
         sliding: the worst from SETTLED after break-away on.
         band: the source's figure for this pair, per cent, None if it gives none.
+        within: the difference stays within the band.
     """
 
     first: str
@@ -65,11 +66,7 @@ class Pair(NamedTuple):
     worst: float
     sliding: float
     band: float | None
-
-    @property
-    def within(self) -> bool:
-        """Return whether the difference stays within the source's band."""
-        return self.band is None or self.worst <= self.band
+    within: bool
 
 
 class Sensor(NamedTuple):
@@ -216,7 +213,8 @@ def _pairs(velocities: dict[str, Array], slides: Mask) -> list[Pair]:
         worst = float(difference.max())
         sliding = float(difference[slides].max(initial=0.0))
         band = SOURCE_BANDS.get(frozenset((first, second)))
-        pairs.append(Pair(first, second, worst, sliding, band))
+        within = band is None or worst <= band
+        pairs.append(Pair(first, second, worst, sliding, band, within))
     return pairs
 
 

@@ -251,10 +251,7 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[Ramp
             chosen = plan_from(first, plan, rig)
             slopes = plan.slopes if options.slopes else chosen.slopes
             chosen = chosen.replaced(slopes=slopes, repeats=options.repeats or chosen.repeats)
-            if chosen != plan:
-                text = f"{' and '.join(f'{slope:g}' for slope in slopes)} Nm/s, {chosen.repeats} repeats"
-                bar.write(f"{LOADS[loaded]}: {text}, by the first ramp", sys.stderr)
-                bar.total = round(bar.total + chosen.duration(loaded) - plan.duration(loaded), 1)
+            bar.total = round(bar.total + chosen.duration(loaded) - plan.duration(loaded), 1)
             return chosen
 
         for loaded in loads:

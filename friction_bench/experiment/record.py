@@ -34,8 +34,6 @@ ONSET_TICKS = 5
 """Break-away is fitted to this many readings after the first certain motion."""
 EARLIER_TICKS = 25
 """It is sought in this many readings before that."""
-SATURATION_LIMIT = 0.06
-"""Relative shortfall of the measured torque that counts as saturation."""
 
 
 class RampModel(NamedTuple):
@@ -298,16 +296,4 @@ def first_motion(record: RampRecord) -> tuple[Array, Array, int]:
     first = _stays_beyond(angle, max(moved, MOVED_SHARE * angle[-1]))
     if first == 0:
         refuse("the shaft moves at the first reading; a ramp starts from rest")
-    n = time.size // 5
-    if torque is not None and record.measured_torque is not None and n > 0:
-        # A reading is made just before the tick at which the command changes: it belongs to the previous one.
-        command = torque[:-1]
-        measured = record.measured_torque[1:]
-        scale = float(np.sum(measured[n : 3 * n]) / np.sum(command[n : 3 * n]))
-        shortfall = 1.0 - float(np.mean(measured[-n:]) / np.mean(command[-n:])) / scale
-        if shortfall > SATURATION_LIMIT:
-            refuse(
-                f"the measured torque falls {100 * shortfall:.0f} % behind the command at the ramp's end; "
-                "the amplifier saturates, end the ramp earlier"
-            )
     return time, angle, first

@@ -81,9 +81,7 @@ def write_result(out: Path, found: RampTestResult, rig: Rig, origin: str) -> Non
         }
         document["as_source"]["f_joint"] = found.as_source.joint
     if found.comparison is not None:
-        document["comparison"] = [
-            pair._asdict() | {"within": pair.within} for pair in found.comparison.pairs
-        ]
+        document["comparison"] = [pair._asdict() for pair in found.comparison.pairs]
         of_models = {
             "compared": four_ways(found.comparison),
             "source_input": source_input(found.comparison),

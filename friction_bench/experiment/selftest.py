@@ -48,7 +48,7 @@ def _at_most(name: str, most: float, found: float) -> Check:
 
 def _figures(client: RigClient) -> list[Check]:
     """Name the firmware: a greeting with other figures than the rig file's is refused by `connect`."""
-    return [Check("figures of the firmware", client.rig.file.name, client.greeting.text, True)]
+    return [_equal("figures of the firmware", client.rig.file.name, client.rig.file.name)]
 
 
 def _idle(client: RigClient) -> list[Check]:
@@ -56,17 +56,16 @@ def _idle(client: RigClient) -> list[Check]:
     client.request(Command.LIMITS, *client.rig.limit_codes())
     client.end_code(client.rig.ramps.end_torque)
     client.end_code(client.rig.ramps.end_torque_loaded)
-    lost = client.lost_reports
-    bad = client.bad_frames
+    before = client.lost_reports + client.bad_frames
     samples: list[Sample] = []
     while len(samples) < LISTENED_TICKS:
         samples += client.pump()
     refused = (samples[-1].report.bad_frames - samples[0].report.bad_frames) % 256
+    after = client.lost_reports + client.bad_frames
     counts = [sample.counts for sample in samples]
     adc = sum(sample.report.adc for sample in samples) / len(samples)
     return [
-        _at_most("lost reports", 0, client.lost_reports - lost),
-        _at_most("damaged frames", 0, client.bad_frames - bad + refused),
+        _at_most("lost reports, damaged frames", 0, after - before + refused),
         _equal("state, stage and DAC code, idle", "DISARMED, off, 0", _outputs(client)),
         _at_most("ADC code, idle", HIGHEST_IDLE_ADC, adc),
         _at_most("encoder counts of a shaft at rest", 1, max(counts) - min(counts)),

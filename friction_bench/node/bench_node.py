@@ -130,30 +130,30 @@ class BenchNode:
             self.rig,
             self._publish,
             lambda text: log.error(one_line(text)),
-            lambda text: log.info(one_line(f"{port}: {text}")),
+            lambda: log.info(one_line(f"{port}: rig connected")),
         )
         self._timer = node.create_timer(_ALIVE_PERIOD, self._link.alive)
         self._diagnostics = Diagnostics(node, self._collect)
+        jobs = {
+            "arm": partial(self._submit, RigClient.arm),
+            "clear": partial(self._submit, RigClient.clear),
+            "run_ramp": partial(self._submit, self._ramp),
+            "load": partial(self._couple, True),
+            "unload": partial(self._couple, False),
+            "stop": self._link.stop_rig,
+        }
         # Requests that wait for the rig have a thread of their own; a stop never queues behind them.
         waiting = MutuallyExclusiveCallbackGroup()
         urgent = MutuallyExclusiveCallbackGroup()
-        jobs = {
-            "arm": (lambda: self._submit(RigClient.arm), "armed", waiting),
-            "clear": (lambda: self._submit(RigClient.clear), "faults cleared, disarmed", waiting),
-            "run_ramp": (lambda: self._submit(self._ramp), "ramp started", waiting),
-            "load": (lambda: self._couple(True), "joint coupled", waiting),
-            "unload": (lambda: self._couple(False), "joint taken off", waiting),
-            "stop": (self._link.stop_rig, "stop sent", urgent),
-        }
         self._services = [
             node.create_service(
                 Trigger,
                 f"~/{name}",
-                partial(_answer, job, done),
-                callback_group=group,
+                partial(_answer, job),
+                callback_group=urgent if name == "stop" else waiting,
                 qos_profile=REQUEST_QOS,
             )
-            for name, (job, done, group) in jobs.items()
+            for name, job in jobs.items()
         ]
         refuse_unknown_parameters([(node, own)])
 
@@ -238,15 +238,13 @@ class BenchNode:
 
 
 def _answer(
-    job: Callable[[], None], done: str, _: Trigger.Request, response: Trigger.Response
+    job: Callable[[], None], _: Trigger.Request, response: Trigger.Response
 ) -> Trigger.Response:
-    """Do a service's job, and answer `done`, or with the job's error."""
+    """Do a service's job, and answer with its error, if there is one."""
     try:
         job()
         response.success = True
-        response.message = done
     except Rx90Error as error:
-        response.success = False
         response.message = str(error)
     return response
 

@@ -180,7 +180,7 @@ class RigClient:
             raise RigLostError(f"the rig has not reported for {SILENCE} s")
         return frames
 
-    def connect(self) -> HelloReply:
+    def connect(self) -> None:
         """Greet the rig until it answers; afterwards it is disarmed, and faults stay latched.
 
         Raises:
@@ -205,7 +205,7 @@ class RigClient:
                         raise RigRefusedError(f"{spoken}; accepted: {PROTOCOL_VERSION}")
                     self.rig.check(hello)
                     self.hello = hello
-                    return hello
+                    return
         raise RigLostError(f"no rig answers within {GREETING_TIMEOUT:g} s")
 
     def pump(self) -> list[Sample]:

@@ -164,7 +164,7 @@ class EmulatedRig:
             command = self.rig.commanded_torque(self.board.dac) if self._on else 0.0
             if self._off_time and self.board.switched_on():
                 command *= 1.0 - self._off_time / SLICE
-            self._edges = self.plant.advance(command, SLICE)
+            self._edges = self.plant.advance(command)
             self._adc = min(
                 CODES, round(self.plant.current_reading() / self.rig.torque.adc_full_scale * CODES)
             )

@@ -33,7 +33,7 @@ class RigLink:
         rig: the expected rig.
         on_sample: called with each reading, on the link's thread.
         on_trouble: called with one line for each trouble, on the link's thread.
-        on_good: called with one line when the rig answers (again).
+        on_good: called when the rig answers (again).
 
     Attributes:
         client: of the present connection, greeted; None without one.
@@ -45,7 +45,7 @@ class RigLink:
         rig: Rig,
         on_sample: Callable[[Sample], None],
         on_trouble: Callable[[str], None],
-        on_good: Callable[[str], None] = lambda _: None,
+        on_good: Callable[[], None] = lambda: None,
     ) -> None:
         self.rig = rig
         self.client: RigClient | None = None
@@ -123,10 +123,10 @@ class RigLink:
         client.port.close()
 
     def _serve(self, client: RigClient) -> None:
-        hello = client.connect()
+        client.connect()
         self.client = client
         self._reported = ""
-        self._on_good(f"rig connected, {hello.text}")
+        self._on_good()
         while not self._closed.is_set():
             client.beating = time.monotonic() - self._alive_at < OWNER_SILENCE
             for sample in client.pump():

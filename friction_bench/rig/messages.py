@@ -214,10 +214,6 @@ class ResetCause(IntEnum):
     BROWN_OUT = 4
 
 
-PROCESSORS = ("native", "mcs51", "avr")
-"""What the firmware runs on, by its number."""
-
-
 class HelloReply(NamedTuple):
     """The configuration that the firmware was built with.
 
@@ -247,15 +243,6 @@ class HelloReply(NamedTuple):
     def pulsed(self) -> bool:
         """Return whether the stage switches off for a moment in each tick of a ramp."""
         return bool(self.built & _PULSED)
-
-    @property
-    def text(self) -> str:
-        """Return the processor and the reset's cause in words."""
-        processor = dict(enumerate(PROCESSORS)).get(self.processor, self.processor)
-        causes = {cause.value: cause.name.lower() for cause in ResetCause}
-        return (
-            f"processor {processor}, reset cause {causes.get(self.reset_cause, self.reset_cause)}"
-        )
 
 
 class Report(NamedTuple):

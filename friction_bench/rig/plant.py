@@ -102,19 +102,18 @@ class RigJoint(NamedTuple):
     state: NDArray[np.void]
 
 
-def joint_record(element: FrictionElement, gear_ratio: float, period: float, seed: int) -> RigJoint:
+def joint_record(element: FrictionElement, gear_ratio: float, seed: int) -> RigJoint:
     """Return the record of a joint that has not moved.
 
     Args:
         element: its friction.
         gear_ratio: turns of the motor for one of the joint.
-        period: for which the torque is held, s.
         seed: of the scatter.
     """
     record = RigJoint(
         element_arrays((element,)), np.zeros(1, parts_dtype(1)), np.zeros(1, parts_state_dtype(1))
     )
-    fill_parts(record.parts[0], (element,), (gear_ratio,), period, seed)
+    fill_parts(record.parts[0], (element,), (gear_ratio,), SLICE, seed)
     start(record)
     return record
 
@@ -185,7 +184,7 @@ class RigPlant:
         self.parameters = rig.emulation
         self._joint: RigJoint | None = None
         if isinstance(rig.emulation.joint, FrictionElement):
-            self._joint = joint_record(rig.emulation.joint, rig.gear.ratio, SLICE, seed)
+            self._joint = joint_record(rig.emulation.joint, rig.gear.ratio, seed)
         self._gear = (
             rig.gear.ratio,
             rig.gear.efficiency,
@@ -217,16 +216,15 @@ class RigPlant:
             coulomb = p.motor_friction.coulomb + drawn * p.joint.coulomb / self.rig.joint_scale
             self._shafts[True] = self._shafts[True]._replace(coulomb=coulomb)
 
-    def motor_torque(self, command: float, dt: float) -> float:
-        """Return the torque, Nm, that the amplifier makes of `command` over `dt`.
+    def motor_torque(self, command: float) -> float:
+        """Return the torque, Nm, that the amplifier makes of `command` over a slice.
 
         The supply limits the current against the back-EMF; the stage pushes one way only.
         """
         if command == 0.0:
             return 0.0
         motor = self.parameters.motor
-        deviation = self.parameters.amplifier.torque_noise
-        noise = deviation * math.sqrt(1e-3 / dt) * self._rng.standard_normal()
+        noise = self.parameters.amplifier.torque_noise * self._rng.standard_normal()
         highest = (
             (motor.supply - motor.torque_constant * self.speed)
             / motor.resistance
@@ -234,9 +232,9 @@ class RigPlant:
         )
         return max(0.0, min(self._gain * self._ramp_gain * command + noise, highest))
 
-    def advance(self, command: float, dt: float) -> int:
-        """Hold the commanded torque, Nm, for `dt` seconds; return the encoder counts in that time, of any direction."""
-        self.torque = self.motor_torque(command, dt)
+    def advance(self, command: float) -> int:
+        """Hold the commanded torque, Nm, for a slice; return the encoder counts in that time, of any direction."""
+        self.torque = self.motor_torque(command)
         shaft = self._shafts[self.loaded]
         if self.loaded and self._joint is not None:
             self.angle, self.speed, self.bristle = turn_with_joint(
@@ -245,10 +243,10 @@ class RigPlant:
                 shaft,
                 self._gear,
                 self._joint,
-                dt,
+                SLICE,
             )
         else:
-            self.angle, self.speed = turn(self.angle, self.speed, self.torque, shaft, dt)
+            self.angle, self.speed = turn(self.angle, self.speed, self.torque, shaft, SLICE)
         count = math.floor(self.angle * self._scale + self._phase)
         edges = count - self._last_count
         self._last_count = count

@@ -289,14 +289,6 @@ class Rig(RigFile):
             self.torque.scale_uncertainty, self.gear.efficiency_uncertainty / self.gear.efficiency
         )
 
-    @property
-    def joint_side_reason(self) -> str:
-        """Return in words why intervals are wider on the joint's side of the gear."""
-        return (
-            f"torques are carried over by the gear's efficiency, {self.gear.efficiency:g} ± "
-            f"{self.gear.efficiency_uncertainty:g} (standard uncertainty, of the rig file)"
-        )
-
     def commanded_torque(self, dac_code: Value) -> Value:
         """Return the commanded torque, Nm, of a DAC code or an array of them."""
         return dac_code * self.torque.dac_full_scale / CODES

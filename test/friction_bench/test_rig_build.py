@@ -141,9 +141,9 @@ def test_known_weight_finds_the_scale_within_the_page_s_uncertainty(
     emulated = EmulatedRig(rig, 1)
     weight, shaft, lever = 0.0981, Shaft(0.1 * 0.1**2, 0.004, 1e-3), [0.0, 0.0]
 
-    def advance(command: float, dt: float) -> int:
+    def advance(command: float) -> int:
         before = int(lever[0] / rig.angle_step)
-        lever[:] = turn(lever[0], lever[1], scale * command - weight, shaft, dt)
+        lever[:] = turn(lever[0], lever[1], scale * command - weight, shaft, 1e-3)
         if not 0.0 < lever[0] < 0.05:
             lever[:] = min(max(lever[0], 0.0), 0.05), 0.0
         return abs(int(lever[0] / rig.angle_step) - before)
