@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -101,15 +100,3 @@ def test_the_library_finds_what_it_is_linked_with(library: Path) -> None:
         [sys.executable, "-c", code, module, *names], env=bare, capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
-
-
-def test_a_changed_definition_is_built_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A build counts for the definitions it was made from, and for no others."""
-    shutil.copytree(interfaces.DEFINITIONS, tmp_path, dirs_exist_ok=True)
-    for package in interfaces.PACKAGES:
-        (tmp_path / package / "rx90_emulator.stamp").write_text(interfaces.inputs(package), encoding="utf-8")
-    monkeypatch.setattr(interfaces, "DEFINITIONS", tmp_path)
-    assert interfaces.unbuilt(tmp_path) == []
-    with (tmp_path / "control_msgs/msg/SpeedScalingFactor.msg").open("a") as stream:
-        stream.write("float64 more\n")
-    assert interfaces.unbuilt(tmp_path) == ["control_msgs"]

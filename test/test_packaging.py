@@ -9,8 +9,6 @@ import subprocess
 import sys
 import venv
 import zipfile
-from contextlib import closing
-from datetime import date
 from importlib.metadata import distribution, requires
 from pathlib import Path
 from xml.etree import ElementTree
@@ -97,13 +95,11 @@ def test_colcon_takes_it_for_an_ament_python_package(tmp_path: Path) -> None:
 
 
 def test_package_xml_is_valid_for_ros_tools() -> None:
-    """package.xml passes ROS's own validation without a warning and has one element on a line."""
+    """package.xml passes ROS's own validation without a warning."""
     warnings: list[str] = []
     package = parse_package(str(ROOT / "package.xml"), warnings=warnings)
     package.validate(warnings=warnings)
     assert (warnings, package.get_build_type()) == ([], "ament_python")
-    opened = [line for line in (ROOT / "package.xml").read_text().splitlines() if line.count("<") > 2]
-    assert opened == []
 
 
 def test_an_installed_jazzy_gets_every_package() -> None:
@@ -120,11 +116,12 @@ def test_an_installed_jazzy_gets_every_package() -> None:
 
 
 def test_the_version_is_the_same_everywhere() -> None:
-    """package.xml, the installed distribution and the change log give one version."""
+    """package.xml, the installed distribution, the citation and the change log give one version."""
     version = ElementTree.parse(ROOT / "package.xml").findtext("version")
     newest = re.search(r"^(\d+\.\d+\.\d+)\b", (ROOT / "CHANGELOG.rst").read_text(), re.MULTILINE)
     assert newest is not None
-    assert {version, distribution(PACKAGE).version, newest[1]} == {version}
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert {version, distribution(PACKAGE).version, citation["version"], newest[1]} == {version}
 
 
 def test_the_install_space_is_whole_and_needs_no_source_tree(
@@ -153,28 +150,6 @@ def test_the_install_space_is_whole_and_needs_no_source_tree(
         found = [Path(line).resolve() for line in cold.communicate(timeout=TIMEOUT)[0].splitlines()]
     assert len(found) == 2
     assert all(prefix in path.parents for path in found), found
-
-
-@pytest.mark.ros
-def test_installed_nodes_run_together(workspace: Path, processes: Processes) -> None:
-    """Simulation and controller out of the install space run in lock-step: joint_states go on in time."""
-    from ros_client import Client, seconds  # only now: rclpy reads the domain when it is first used
-
-    with closing(Client()) as client:
-        heard = client.listen("joint_states")
-        nodes = [processes.start(str(workspace / name)) for name in NODES]
-        client.spin_until(lambda: bool(heard) and seconds(heard[-1]) >= seconds(heard[0]) + 0.2, "0.2 s to pass")
-        assert [node.returncode for node in nodes] == [None, None]
-
-
-def test_the_citation_is_of_this_version() -> None:
-    """CITATION.cff has the version of the package, a date, and a repository only where package.xml names one."""
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    package = parse_package(str(ROOT / "package.xml"))
-    assert citation["version"] == package.version == distribution(PACKAGE).version
-    assert date.fromisoformat(str(citation["date-released"]))
-    repositories = [url.url for url in package.urls if url.type == "repository"]
-    assert [citation[key] for key in ("repository-code",) if key in citation] == repositories
 
 
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("*/py.typed"))

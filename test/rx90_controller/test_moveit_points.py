@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import time_optimal
 import yaml
 from scipy.interpolate import CubicSpline
 
@@ -98,40 +96,25 @@ def test_the_controller_takes_point_to_point_motions_at_moveit_s_limits(setup: S
     assert any(why(setup, points) for points in own)
 
 
-def joint_path(generator: np.random.Generator, lower: Array, upper: Array) -> Array:
-    """Return the poses of a plan of OMPL's: up to six at random, and others on the straight ways between them."""
-    room = 0.05 * (upper - lower)
-    corners = [generator.uniform(lower + room, upper - room)]
-    for _ in range(generator.integers(1, 6)):
-        to = corners[-1] + generator.normal(size=6) * generator.uniform(0.05, 1.0)
-        corners.append(np.clip(to, lower + room, upper - room))
-    poses = corners[:1]
-    for begin, end in itertools.pairwise(corners):
-        count = int(np.ceil(np.abs(end - begin).max() / generator.uniform(0.1, 0.6)))
-        poses += [begin + (end - begin) * k / count for k in range(1, count + 1)]
-    return np.array(poses)
-
-
-@pytest.mark.slow
-def test_time_optimal_plans_are_taken_as_they_are_sent(setup: Setup) -> None:
-    """40 of 40: their ends move by rounding, their times are doubles, or nanoseconds, their starts are near by."""
-    velocity, acceleration = joint_limits(setup)
-    limits, names, generator = setup.controller.limits(setup.robot), setup.robot.joint_names, np.random.default_rng(23)
-    moving = 0
-    for k in range(40):
-        poses = joint_path(generator, np.array(limits.lower), np.array(limits.upper))
-        times, tables = time_optimal.plan(poses, velocity, acceleration)
+@pytest.mark.parametrize("late", [0.0, 0.5e-3])
+def test_ends_that_move_by_rounding_are_taken_as_they_are_sent(setup: Setup, late: float) -> None:
+    """As time-optimal plans end: at 1e-15 rad/s, or with a point that repeats the one before; the start is near by."""
+    limits, names = setup.controller.limits(setup.robot), setup.robot.joint_names
+    for k, points in enumerate(moves(*joint_limits(setup))):
+        times, tables = points.times, [points.position, points.velocity.copy(), points.acceleration]
+        tables[1][-1] = 1e-15
+        if late:
+            times, tables = np.append(times, times[-1] + late), [np.vstack((table, table[-1])) for table in tables]
+            tables[0][-1] += 5e-5
         if k % 2:
             times = np.round(times * 1e9) * 1e-9
-        moving += np.abs(tables[-1, 1]).max() > 0.0
-        points = TrajectoryPoints.create(names, names, times.tolist(), *tables.transpose(1, 0, 2))
-        here = TrajectoryGenerator(limits, period(setup), poses[0] + generator.uniform(-1e-6, 1e-6, 6))
-        here.accept(points, 0, None)
+        sent = TrajectoryPoints.create(names, names, times.tolist(), *tables)
+        here = TrajectoryGenerator(limits, period(setup), points.position[0] + 1e-6)
+        here.accept(sent, 0, None)
         end = round(times[-1] / period(setup)) + 2
         last = here.setpoints(end, end + 1)[0]
-        np.testing.assert_allclose(last[0], poses[-1], atol=1e-9)
+        np.testing.assert_allclose(last[0], tables[0][-1], atol=1e-9)
         assert not last[1:].any()
-    assert moving > 36
 
 
 def pilz_line(plan: LinePlan) -> TrajectoryPoints:

@@ -7,7 +7,6 @@ import dataclasses
 import inspect
 import math
 import os
-import pydoc
 import re
 import shutil
 import subprocess
@@ -68,19 +67,12 @@ def test_every_name_explains_itself() -> None:
     typed = {one.asname: node.module for node in imports for one in node.names if one.asname == one.name}
     assert typed == rx._HOMES
     assert len(typed) <= 70
-    groups = re.findall(r"^(\w[\w ]{0,14}\w) {1,}(?=\w+, )", rx.__doc__ or "", re.MULTILINE)
-    assert groups == ["Setups", "Motions", "Runs", "Corrections", "Series and bags", "Identification"]
-    help_text = pydoc.plain(pydoc.render_doc(rx))
-    assert help_text.index("Setups ") < help_text.index("PACKAGE CONTENTS")
-    documented = set(re.findall(r"^    (?:class )?(\w+)(?:\(| = class)", help_text, re.MULTILINE))
-    assert set(rx.__all__) <= documented
     assert [name for name in dir(rx) if not name.startswith("__")] == sorted(rx.__all__) == sorted(typed)
     for name in rx.__all__:
         found = getattr(rx, name)
         text = inspect.getdoc(found)
         assert text, name
         assert not text.startswith(f"{name}("), "the docstring that dataclass() makes up"
-        assert text.splitlines()[0].rstrip().endswith((".", ":")) or "\n\n" not in text, name
         assert re.search(rf"\b{name}\b", rx.__doc__ or ""), name
         if inspect.isfunction(found):
             signature = inspect.signature(found)

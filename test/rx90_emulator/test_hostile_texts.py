@@ -8,8 +8,6 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 import yaml
 from foreign_arms import drive_torque, write
@@ -125,16 +123,6 @@ def _ramped(_arm: Arm, page: Path) -> None:
     (out / "report.html").rename(page)
 
 
-def _mapped(_arm: Arm, page: Path) -> None:
-    table = page.parent / "<img src=x onerror=window.ran=1>.parquet"
-    signals = page.with_suffix(".yaml")
-    times = np.arange(0.0, 1.0, 0.01)
-    pq.write_table(pa.table({"time": times, **dict.fromkeys(TEXTS, times)}), table)
-    places = {"time": {"column": "time", "unit": "s"}, "position": {"columns": list(TEXTS), "unit": "rad"}}
-    signals.write_text(yaml.safe_dump({"names": list(TEXTS), **places}), encoding="utf-8")
-    assert run("rx90 bag", ["plot", str(table), "--signals", str(signals), "-o", str(page)]) == 0
-
-
 def _drawn(_arm: Arm, page: Path) -> None:
     shown_texts = [*TEXTS, TEXTS[0]]
     figures = [chart(text, text, text) for text in shown_texts]
@@ -158,7 +146,6 @@ def _drawn(_arm: Arm, page: Path) -> None:
         (_slid, 6),
         (_held_against, 6),
         (_ramped, 0),
-        (_mapped, 6),
         (_drawn, 6),
     ],
 )

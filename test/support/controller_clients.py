@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from controller_manager_msgs.srv import ListControllers, SwitchController
+from controller_manager_msgs.srv import ListControllers
 from ros_client import Client
 
 CM_SERVICES = {
@@ -56,17 +56,6 @@ class Rqt:
                 names.append(name)
         return names
 
-    @staticmethod
-    def controller_namespace(manager: str, controller: str) -> str:
-        """Return the namespace of `_resolve_controller_ns`."""
-        space = manager.rsplit("/", 1)[0]
-        return f"{space if space == '/' else space + '/'}{controller}"
-
-    @staticmethod
-    def duration(move: float, most: float, speed_scale: float = 0.5) -> float:
-        """Return the time_from_start of `_update_cmd_cb` for a joint, s; `most` is its maximum velocity."""
-        return max(abs(move) / most, 5.0 / 10.0) / speed_scale
-
 
 class MoveIt:
     """Ros2ControlManager for a namespace, as Ros2ControlMultiManager finds them."""
@@ -97,29 +86,3 @@ class MoveIt:
                 self.active[controller.name] = [each.split("/")[0] for each in controller.claimed_interfaces]
             if controller.type in self.HANDLED:
                 self.managed[f"{self._space}{controller.name}"] = controller
-
-    def joints(self, name: str) -> list[str]:
-        """Return the joints of `getControllerJoints`."""
-        return [each.split("/")[0] for each in self.managed[name].required_command_interfaces]
-
-    def action(self, name: str) -> str:
-        """Return the action that the handle of a controller calls."""
-        return f"{name}/follow_joint_trajectory"
-
-    def switch(self, activate: list[str], deactivate: list[str]) -> tuple[bool, str]:
-        """Do what `switchControllers` does, and return its answer with the manager's message."""
-        self.discover()
-        claimed = {joint: name for name, joints in self.active.items() for joint in joints}
-        stop = [self.managed[name].name for name in deactivate if name in self.managed]
-        start = [self.managed[name].name for name in activate if name in self.managed]
-        for name in activate:
-            owners = [claimed[joint] for joint in self.joints(name) if joint in claimed]
-            stop += [owner for owner in dict.fromkeys(owners) if owner not in stop]
-        start, stop = [each for each in start if each not in stop], [each for each in stop if each not in start]
-        if not start and not stop:
-            return True, ""
-        request = SwitchController.Request(activate_controllers=start, deactivate_controllers=stop)
-        request.strictness = SwitchController.Request.STRICT
-        service = f"{self._space}controller_manager/switch_controller"
-        answer = self._client.asking.call(SwitchController, service, request)
-        return bool(answer.ok), str(answer.message)

@@ -25,15 +25,14 @@ def test_rqt_finds_it_and_its_sliders_move_it(bench: Bench, shipped: Setup) -> N
     client.spin_until(lambda: rqt.managers() == ["/controller_manager"], "a controller manager")
     (controller,) = rqt.running("/controller_manager")
     assert rqt.joint_names(controller) == JOINTS
-    space = rqt.controller_namespace("/controller_manager", controller.name)
+    space = f"/{controller.name}"  # `_resolve_controller_ns`
     topics = dict(client.node.get_topic_names_and_types())
     assert topics[f"{space}/controller_state"] == ["control_msgs/msg/JointTrajectoryControllerState"]
     assert topics[f"{space}/joint_trajectory"] == ["trajectory_msgs/msg/JointTrajectory"]
     assert "/robot_description" in topics
     bench.home()
     to = 0.1
-    seconds = rqt.duration(to, float(shipped.robot.max_velocity.min()))
-    message: Any = move(to, seconds).trajectory
+    message: Any = move(to, max(to / float(shipped.robot.max_velocity.min()), 0.5) / 0.5).trajectory  # `_update_cmd_cb`
     message.points[0].velocities = []
     publisher = client.node.create_publisher(JointTrajectory, f"{space}/joint_trajectory", 1)
     client.spin_until(lambda: publisher.get_subscription_count() > 0, "the controller")
@@ -51,9 +50,8 @@ def test_moveit_finds_it_and_calls_its_action(bench: Bench) -> None:
     bench.client.spin_until(lambda: MoveIt.namespaces(bench.client) == ["/"], "a controller manager")
     manager = MoveIt(bench.client, "/")
     assert manager.active == {NAME: JOINTS}
-    assert manager.joints(f"/{NAME}") == JOINTS
-    assert manager.switch([f"/{NAME}"], []) == (True, "")
-    assert manager.action(f"/{NAME}") == "/rx90_controller/follow_joint_trajectory"
+    assert list(manager.managed) == [f"/{NAME}"]
+    assert manager.managed[f"/{NAME}"].required_command_interfaces == [f"{joint}/position" for joint in JOINTS]
     assert bench.follow(move(0.05, 0.5)).status == SUCCEEDED
 
 
@@ -69,10 +67,11 @@ def test_what_cannot_be_exchanged_is_answered_so(bench: Bench) -> None:
         bench.said(f"{name.lower()}_controller: rx90_controller is the drive of its arm, and the only controller")
     reload = srv.ReloadControllerLibraries
     assert not call(reload, "controller_manager/reload_controller_libraries", reload.Request()).ok
-    ok, message = MoveIt(bench.client).switch([], [f"/{NAME}"])
-    assert (ok, message.split(";")[0]) == (False, "rx90_controller is active")
-    assert message.endswith("accepted: ~/enable and the node's life cycle switch it")
     switch = srv.SwitchController
+    request = switch.Request(deactivate_controllers=[NAME], strictness=switch.Request.STRICT)
+    answer = call(switch, "controller_manager/switch_controller", request)
+    assert (answer.ok, answer.message.split(";")[0]) == (False, "rx90_controller is active")
+    assert answer.message.endswith("accepted: ~/enable and the node's life cycle switch it")
     request = switch.Request(activate_controllers=["other"], strictness=switch.Request.BEST_EFFORT)
     assert "unknown: 'other'" in call(switch, "controller_manager/switch_controller", request).message
     request.activate_controllers = [NAME]
