@@ -1,4 +1,4 @@
-"""Learn a correction of a path from trial to trial, and show what a correction file holds."""
+"""Learn a correction of a path from trial to trial, and write the corrected path."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rx90_common.base.errors import DONE, VERDICT_NO, check_replaced
-from rx90_common.base.quoting import counted, one_line, plain
+from rx90_common.base.quoting import counted, one_line
 from rx90_emulator.cli.options import (
     POSITIVE,
     add_force,
@@ -85,8 +85,6 @@ def _add_learning(parser: argparse.ArgumentParser) -> None:
         default=0.1,
         help="weight of a change, m/rad (%(default)s)",
     )
-    method.add_argument("--joints-weight", type=POSITIVE, metavar="W", default=0.005,
-                        help="weight of the joints' own errors, m/rad (%(default)s)")  # fmt: skip
     _add_cutoff(method, "of a zero-phase filter, Hz (none)")
     method.add_argument("--noise", type=POSITIVE, metavar="M", default=1e-6,
                         help="by how much the path error may grow from trial to trial, m (%(default)s)")  # fmt: skip
@@ -182,7 +180,7 @@ def _learner(options: argparse.Namespace, *, tip: bool) -> tuple[Learner, Correc
         check_replaced(file, force=options.force)
     setup = setup_of(options)
     path = _path(options.path, setup)
-    method = NormOptimal(options.effort, options.joints_weight, options.cutoff)
+    method = NormOptimal(effort=options.effort, cutoff=options.cutoff)
     earlier = None if options.previous is None else load_correction(options.previous)
     previous = None if earlier is None else earlier.fitting(setup, path).offsets
     return Learner(setup, path, method, tip=tip, noise=options.noise, previous=previous), earlier
@@ -236,29 +234,6 @@ def _path(name: str, setup: Setup) -> CorrectablePath:
     return plan_path(setup, load_motion(name))
 
 
-def _add_show(show: argparse.ArgumentParser) -> None:
-    show.add_argument("file", type=Path, metavar="FILE", help="correction file")
-
-
-def _show(options: argparse.Namespace) -> None:
-    """Show what a correction file holds: for what it was learned, its trials, and its offsets."""
-    import numpy as np
-
-    from rx90_emulator.correction.file import load_correction
-
-    found = load_correction(options.file)
-    head = found.head
-    offsets = found.correction.offsets
-    period = found.correction.period
-    print(f"robot {plain(head.robot)}, {head.payload.mass:.4g} kg on the last joint")
-    print(f"path of {head.path.duration:.3f} s, up to {head.path.speed * 1e3:.4g} mm/s")
-    print(f"learned by {plain(head.method)}")
-    for number, (how, worst) in enumerate(zip(found.measurements, found.worst, strict=True)):
-        print(f"trial {number}, {how}: worst {worst * 1e3:.4f} mm")
-    rate = float(np.abs(np.diff(offsets, axis=0)).max(initial=0.0)) / period
-    print(f"largest offset {float(np.abs(offsets).max()):.3g} rad, fastest change {rate:.3g} rad/s")
-
-
 def _add_precompensate(precompensate: argparse.ArgumentParser) -> None:
     precompensate.add_argument("file", type=Path, metavar="FILE", help="correction file")
     precompensate.add_argument(
@@ -308,6 +283,5 @@ _VERBS = (
     (_add_engine, _engine, "learn a correction from trials in the closed loop without ROS"),
     (_add_nodes, _nodes, "learn it from trials on the running nodes"),
     (_add_recorded, _recorded, "learn from one recorded trial of an arm"),
-    (_add_show, _show, "show what a correction file holds"),
     (_add_precompensate, _precompensate, "write the corrected path as a trajectory"),
 )

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
-from rx90_common.base.quoting import listed, plain
+from rx90_common.base.quoting import listed
 from rx90_emulator.cli.options import (
     POSITIVE,
     add_output,
@@ -65,10 +65,6 @@ def main(options: argparse.Namespace) -> int:
 
     if options.plot is not None:
         check_picture(options.plot)
-        if options.plot == options.output:
-            raise ConfigError(
-                f"--plot and --output are both {plain(options.plot)}; accepted: two names"
-            )
     speeds, bag = _speeds(options.speeds)
     done = export_robot(
         load_arm(RobotFiles.of_options(options)), options.target, speeds=speeds, bag=bag

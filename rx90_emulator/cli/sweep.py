@@ -14,7 +14,6 @@ from rx90_emulator.cli.options import (
     add_output,
     add_robot_argument,
     add_verbs,
-    new_file,
     place,
     whole_number,
 )
@@ -31,12 +30,6 @@ def _add_run(run: argparse.ArgumentParser) -> None:
                      "sweep/reference_1000.yaml")  # fmt: skip
     add_output(run, place, "Parquet file to write", metavar="FILE", required=True)
     add_robot_argument(run)
-    run.add_argument(
-        "--report",
-        type=new_file,
-        metavar="FILE",
-        help="page on the results to write as well, .html; new",
-    )
     run.add_argument(
         "--resume", action="store_true", help="compute only the runs that the output lacks"
     )
@@ -83,11 +76,8 @@ def _run(options: argparse.Namespace) -> None:
     if counts.failed == counts.computed:
         errors = read_sweep(options.output)["error"]
         if errors.null_count == 0:
-            runs = "the run" if len(errors) == 1 else f"each of the {len(errors)} runs"
             more = f"rx90 sweep info {plain(options.output)} says more"
-            raise FailureError(f"{runs} failed, for example: {errors[0].as_py()}; {more}")
-    if options.report is not None:
-        _write_page(options.output, options.report)
+            raise FailureError(f"every run failed, for example: {errors[0].as_py()}; {more}")
 
 
 def _add_info(info: argparse.ArgumentParser) -> None:
@@ -115,13 +105,9 @@ def _report(options: argparse.Namespace) -> None:
     """
     page: Path = options.output or place(options.file.with_suffix(".html").name)
     check_replaced(page, force=options.force)
-    _write_page(options.file, page)
-
-
-def _write_page(file: Path, page: Path) -> None:
     from rx90_emulator.sweep.report import sweep_page
 
-    write_text(page, sweep_page(file))
+    write_text(page, sweep_page(options.file))
     print(one_line(f"page: {page.resolve()}"))
 
 

@@ -121,7 +121,6 @@ WRITTEN = {
     "--report": [
         "rx90 identify compare nowhere",
         "rx90 program engine nowhere",
-        "rx90 sweep run nowhere --output x",
     ],
     "--arrays": ["rx90 replay nowhere", "rx90 run nowhere"],
     "": ["rx90 bag import --signals nowhere nowhere"],

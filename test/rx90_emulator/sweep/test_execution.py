@@ -318,17 +318,18 @@ def test_run_and_info(speeds: str, tmp_path: Path, task_file: Path, capsys: pyte
     grid = f"{{a: {{grid: {{task.speed: {{value: [{speeds}]}}}}}}}}"
     plan.write_text(f"base: {{task: {task_file}}}\nblocks: {grid}", encoding="utf-8")
     words, lost = ["run", str(plan), "--output", str(output), "--workers", "1"], not speeds.startswith("0")
-    for more, said in ((["--report", str(page)], "3 of 3 runs"), (["--resume"], "is complete, 3 runs")):
+    for more, said in (([], "3 of 3 runs"), (["--resume"], "is complete, 3 runs")):
         assert run("rx90 sweep", [*words, *more]) == (3 if lost else 0)
         out, err = capsys.readouterr()
         if lost:
             (line,) = (one for one in err.splitlines() if one.startswith("rx90 sweep: "))
-            assert line.startswith("rx90 sweep: each of the 2 runs failed, for example: LineError: ")
+            assert line.startswith("rx90 sweep: every run failed, for example: LineError: ")
             assert line.endswith(f"; rx90 sweep info {output} says more")
         else:
             assert said in out
-            assert (f"1 failed (rx90 sweep info {output} says why)" in out) == ("--report" in more)
-    assert page.exists() != lost
+            assert (f"1 failed (rx90 sweep info {output} says why)" in out) == (not more)
+    assert run("rx90 sweep", ["report", str(output), "--output", str(page)]) == 0
+    assert page.exists()
     assert run("rx90 sweep", ["info", str(output)]) == 0
     shown = capsys.readouterr().out
     assert ("2 runs failed (LineError 2)" if lost else "1 run failed (LineError 1)") in shown
