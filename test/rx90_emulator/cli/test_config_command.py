@@ -167,12 +167,17 @@ def leaves(content: dict[str, object], before: str, *around: object) -> Iterator
             yield f"{before}.{key}", value, [*around, content]
 
 
-@pytest.mark.parametrize("file", ["drives", "friction", "controller", "rig/gm8224_lugre.yaml"])
+@pytest.mark.parametrize(
+    "file", ["tx40/drives", "tx40/friction", "tx40/controller", "panda/drives", "panda/controller", "rig/gm8224_lugre"]
+)
 def test_every_value_is_shown_with_the_line_that_it_comes_from(file: str) -> None:
     """Each value of a robot's files, and of a rig's, has the line, provenance and source that the file gives it."""
-    role, name = ("rig", file) if "/" in file else (file, f"robots/tx40/{file}.yaml")
+    folder, role = file.split("/")
+    robot, name = (folder, f"robots/{file}.yaml")
+    if folder == "rig":
+        robot, role, name = "tx40", "rig", f"{file}.yaml"
     lines, data = (read(config_path(name).read_text("utf-8")) for read in (str.splitlines, yaml.safe_load))
-    values = show("tx40", "rig/gm8224_lugre.yaml")
+    values = show(robot, "rig/gm8224_lugre.yaml")
     own = {key for key, one in values.items() if key.startswith(f"{role}.") and one.origin.startswith(name)}
     expected = list(leaves(data, role))
     assert own == {place for place, *_ in expected if not place.startswith("friction.identification")}
