@@ -13,7 +13,7 @@ import shutil
 from pathlib import Path
 
 PICTURE = Path(__file__).resolve().parent.parent / "docs" / "images" / "report.png"
-_SIZE = {"width": 1050, "height": 1450}  # pixels: the cards, the animation and its chart
+_SIZE = {"width": 1050, "height": 950}  # pixels: the cards and the path error
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 

@@ -142,17 +142,6 @@ class RobotParameters(RateParameters):
         )
 
 
-def flat(content: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Return parameters by their full names, a dot for each nested mapping; an empty mapping is kept as a value."""
-    found: dict[str, Any] = {}
-    for key, value in content.items():
-        if isinstance(value, dict) and value:
-            found |= flat(value, f"{before}{key}.")
-        else:
-            found[f"{before}{key}"] = value
-    return found
-
-
 def nested(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return parameters by the parts of their names, a mapping for each dot; what is no mapping wins."""
     content: dict[str, Any] = {}

@@ -305,9 +305,11 @@ def _info(options: argparse.Namespace) -> None:
 
     signals = _signals(options)
     summary = summarise(options.bag, signals)
-    print(summary_json(summary) if options.json else summary_text(summary))
-    if not options.json:
-        _say_cut(options.bag, signals)
+    if options.json:
+        print(summary_json(summary))
+        return
+    print(summary_text(summary))
+    _say_cut(options.bag, signals)
 
 
 def _say_cut(bag: Path | str, mapping: LogMapping | None) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
 from rx90_common.base.quoting import one_line
 from rx90_common.description.robot_files import FILES, RobotFiles
-from rx90_emulator.cli.options import add_json, add_rig_argument, add_robot_arguments, add_verbs
+from rx90_emulator.cli.options import add_rig_argument, add_robot_arguments, add_verbs
 
 _KINDS = "controller, drives, friction, rig, sweep_plan …"
 
@@ -55,7 +55,6 @@ def _check(options: argparse.Namespace) -> int:
 def _add_show(show: argparse.ArgumentParser) -> None:
     add_robot_arguments(show, *FILES)
     add_rig_argument(show)
-    add_json(show)
 
 
 def _show(options: argparse.Namespace) -> int:
@@ -68,7 +67,7 @@ def _show(options: argparse.Namespace) -> int:
 
     values = origins.robot_values(RobotFiles.of_options(options))
     values += origins.rig_values(options.rig)
-    print(origins.values_json(values) if options.json else origins.values_table(values))
+    print(origins.values_table(values))
     return DONE
 
 

@@ -26,11 +26,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="as fast as the machine allows instead of paced at real time",
     )
-    parser.add_argument(
-        "--composed",
-        action="store_true",
-        help="simulation and controller in one process (rx90_cell)",
-    )
     add_robot_arguments(parser, "task")
     parser.set_defaults(interrupted="every process has ended")
 
@@ -44,9 +39,7 @@ def main(options: argparse.Namespace) -> int:
 
     files = RobotFiles.of_options(options)
     pace = 0.0 if options.short else 1.0
-    demonstration = Demonstration(
-        options.robot or DEFAULT_ROBOT, files, pace, composed=options.composed
-    )
+    demonstration = Demonstration(options.robot or DEFAULT_ROBOT, files, pace)
     folder: Path = options.output or Path("out/demo") / datetime.now().strftime("%Y%m%d-%H%M%S")
     (folder / "log").mkdir(parents=True)
     return 0 if demonstration.run(folder) else 1

@@ -164,7 +164,7 @@ def _plan(options: argparse.Namespace) -> None:
 
     setup = setup_of(options)
     arm = PlannedArm.from_setup(setup, options.home)
-    _write(options, arm, _described(options, setup, arm))
+    _write(options, arm, _described(options, arm, setup))
 
 
 def _any(options: argparse.Namespace) -> None:
@@ -175,7 +175,7 @@ def _any(options: argparse.Namespace) -> None:
     arm = PlannedArm.from_urdf(
         options.urdf, options.joints, tool, options.home, options.acceleration
     )
-    _write(options, arm, _described(options, None, arm))
+    _write(options, arm, _described(options, arm, None))
 
 
 def _engine(options: argparse.Namespace) -> None:
@@ -201,22 +201,22 @@ def _planned(options: argparse.Namespace) -> tuple[Setup, Sequence[Experiment]]:
     from rx90_emulator.identification.experiments.arms import PlannedArm
 
     setup = setup_of(options)
-    return setup, _described(options, setup, PlannedArm.from_setup(setup, options.home))
+    return setup, _described(options, PlannedArm.from_setup(setup, options.home), setup)
 
 
 def _described(
-    options: argparse.Namespace, setup: Setup | None, arm: PlannedArm
+    options: argparse.Namespace, arm: PlannedArm, setup: Setup | None
 ) -> Sequence[Experiment]:
     """Return the experiments, which are shown: sweeps of a setup, or excitation runs of an arm."""
     from rx90_emulator.identification.experiments import series
     from rx90_emulator.identification.experiments.plan import plan_experiments
 
+    remarks: Sequence[str] = ()
     if options.excitation or setup is None:
         plan, remarks = series.plan_with_progress(arm, _excitation_options(options))
-        print(series.describe(plan, arm, remarks), flush=True)
     else:
         plan = plan_experiments(setup, options.group, quick=options.quick, speeds=options.speeds)
-        print(series.describe(plan, arm), flush=True)
+    print(series.describe(plan, arm, remarks), flush=True)
     return plan
 
 

@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Sequence
 from functools import partial
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 from rx90_common.base.errors import (
     DISK_ERRORS,
@@ -169,7 +169,8 @@ def run(command: str, words: Sequence[str]) -> int:
         note = getattr(options, "interrupted", "").format(**vars(options))
         if sys.stderr.isatty():  # ^C stands in the line
             print(file=sys.stderr)
-        _say(f"{program}: interrupted{'; ' * bool(note)}{note}")
+        interrupted = f"{program}: interrupted"
+        _say(f"{interrupted}; {note}" if note else interrupted)
         return INTERRUPTED
 
 
@@ -197,15 +198,11 @@ def _run(program: str, words: Sequence[str], options: SimpleNamespace) -> int:
     # Only now: a recorder that has a handler for SIGTERM leaves a whole bag.
     with terminations_as_interrupts(), warnings.catch_warnings():
         warnings.simplefilter("always", Rx90Warning)
-        others = warnings.showwarning
 
-        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-            if issubclass(category, Rx90Warning):
-                _say(f"{program}: warning: {message}")
-            else:
-                others(message, category, *where, **more)
+        def show(message: Warning | str, *_: Any, **__: Any) -> None:
+            _say(f"{program}: warning: {message}")
 
-        warnings.showwarning = cast(Any, show)
+        warnings.showwarning = show
         return int(main(options) or 0)
 
 

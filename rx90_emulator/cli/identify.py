@@ -197,22 +197,14 @@ def _series(paths: Sequence[Path]) -> IdentificationBags:
     """Return bags by use: of a folder that `rx90 experiment` wrote as its index says, others as sweeps and runs."""
     from rx90_emulator.identification.experiments.plan import INDEX, IdentificationBags, read_index
 
-    sliding: list[Path] = []
-    presliding: list[Path] = []
-    validation: list[Path] = []
-    excitation: list[Path] = []
-    for path in paths:
-        if (path / INDEX).exists():
-            series = read_index(path)
-            sliding.extend(series.sliding)
-            presliding.extend(series.presliding)
-            validation.extend(series.validation)
-            excitation.extend(series.excitation)
-        else:
-            sliding.append(path)
-            excitation.append(path)
+    single = tuple(path for path in paths if not (path / INDEX).exists())
+    parts = [read_index(path) for path in paths if (path / INDEX).exists()]
+    parts.append(IdentificationBags(sliding=single, excitation=single))
     return IdentificationBags(
-        tuple(sliding), tuple(presliding), tuple(validation), tuple(excitation)
+        sliding=tuple(bag for part in parts for bag in part.sliding),
+        presliding=tuple(bag for part in parts for bag in part.presliding),
+        validation=tuple(bag for part in parts for bag in part.validation),
+        excitation=tuple(bag for part in parts for bag in part.excitation),
     )
 
 

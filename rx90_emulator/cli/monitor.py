@@ -84,11 +84,10 @@ def _nodes(options: argparse.Namespace) -> None:
 def _serve(options: argparse.Namespace, cell: Cell, *, waits: bool) -> None:
     from rx90_emulator.vplus.monitor import serve
 
-    serve(cell, options.folder, _announce, options.port, options.baud, waits=waits)
+    def announce(line: str) -> None:
+        print(f"monitor of V+ on {line}", flush=True)
 
-
-def _announce(line: str) -> None:
-    print(f"monitor of V+ on {line}", flush=True)
+    serve(cell, options.folder, announce, options.port, options.baud, waits=waits)
 
 
 _VERBS = (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,14 +26,9 @@ from rx90_emulator.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from rx90_emulator.loop.setup import Setup
     from rx90_emulator.vplus.cell import Change
     from rx90_emulator.vplus.run import Options, ProgramRun
     from rx90_emulator.vplus.tree import Memory, Readings
-
-    _Play = Callable[[argparse.Namespace, Setup, Memory, list[Change]], ProgramRun]
 
 _EPILOG = """\
 FILE is a file of V+ (.v2, .pg, with data sections or .lc beside it), or a folder of them. The arm begins at READY.
@@ -122,27 +116,50 @@ def _engine(options: argparse.Namespace) -> None:
     """Run a program in the closed loop without ROS, show what it did, write what was asked for."""
     if options.plot is not None:
         check_picture(options.plot)
-    _run(options, _on_engine)
+    # Here, because --help must not wait for it.
+    from rx90_emulator.vplus.run import run_program
+
+    inputs, memory = _prepared(options)
+    run = run_program(
+        setup_of(options),
+        memory,
+        options.name,
+        arguments=options.arguments,
+        inputs=inputs,
+        options=_chosen(options),
+        show=_show,
+    )
+    _end(run, options)
 
 
 def _nodes(options: argparse.Namespace) -> None:
     """Run a program on rx90_sim and rx90_controller, from where the arm is; rx90 bag record records it."""
-    _run(options, _on_nodes)
+    from rx90_common.exchange.ros_start import prepare
+
+    inputs, memory = _prepared(options)
+    setup = setup_of(options)
+    prepare()
+    from rx90_common.exchange.client_node import client_node
+    from rx90_controller.node.program_client import ProgramClient
+    from rx90_emulator.vplus.cell import Cell
+    from rx90_emulator.vplus.run import run_in
+
+    chosen = _chosen(options)
+    with client_node("rx90_program", options.timeout, print, options.ros_args) as client:
+        nodes = ProgramClient(client, options.node, setup.robot.joint_names)
+        cell = Cell(setup, nodes, inputs, chosen.period)
+        cell.publish = nodes.signals(cell.receive)
+        cell.show = _show
+        run = run_in(cell, memory, options.name, options.arguments, chosen)
+    _end(run, options)
 
 
-def _run(options: argparse.Namespace, play: _Play) -> None:
-    # Here, because --help must not wait for it.
+def _prepared(options: argparse.Namespace) -> tuple[list[Change], Memory]:
+    """Return the changes of inputs, and the programs."""
     from rx90_emulator.vplus.cell import load_inputs
 
-    inputs = load_inputs(options.inputs) if options.inputs is not None else []
-    memory = _load(options)
-    setup = setup_of(options)
-    began = time.perf_counter()
-    run = play(options, setup, memory, inputs)
-    _tell(run, time.perf_counter() - began)
-    _write(run, options)
-    if run.error is not None:
-        raise run.error
+    inputs = [] if options.inputs is None else load_inputs(options.inputs)
+    return inputs, _load(options)
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -164,7 +181,7 @@ def _load(options: argparse.Namespace) -> Memory:
         raise
 
 
-def _chosen(options: argparse.Namespace, *, record_fast: bool = False) -> Options:
+def _chosen(options: argparse.Namespace) -> Options:
     from rx90_emulator.vplus.run import Options
 
     return Options(
@@ -172,27 +189,21 @@ def _chosen(options: argparse.Namespace, *, record_fast: bool = False) -> Option
         period=options.planning * 1e-3,
         idle=options.idle,
         longest=options.longest,
-        record_fast=record_fast,
+        record_fast=options.output is not None and not options.slow_only,
     )
 
 
-def _tell(run: ProgramRun, taken: float) -> None:
-    """Show what a run did."""
-    from rx90_emulator.vplus.run import table_text
+def _end(run: ProgramRun, options: argparse.Namespace) -> None:
+    """Show what a run did, write what was asked for, and raise the error that ended it, if one did."""
+    from rx90_common.process.files import write_text
+    from rx90_emulator.loop.result import write_bag
+    from rx90_emulator.vplus.run import draw, page, table_text
 
     for change in run.cell.changes:
         print(f"{change.time:9.3f} s  signal {change.signal} {'on' if change.on else 'off'}")
     if run.motions:
         print(table_text(run))
-    print(f"{len(run.motions)} motions, cycle time {run.cell.time:.3f} s, in {taken:.2f} s")
-
-
-def _write(run: ProgramRun, options: argparse.Namespace) -> None:
-    """Write what was asked for."""
-    from rx90_common.process.files import write_text
-    from rx90_emulator.loop.result import write_bag
-    from rx90_emulator.vplus.run import draw, page
-
+    print(f"{len(run.motions)} motions, cycle time {run.cell.time:.3f} s")
     if options.output is not None and run.result is not None:
         write_bag(run.result, options.output)
         print(one_line(f"bag: {options.output}"))
@@ -202,43 +213,8 @@ def _write(run: ProgramRun, options: argparse.Namespace) -> None:
     if options.plot is not None:
         draw(run, options.plot)
         print(one_line(f"picture: {options.plot}"))
-
-
-def _on_engine(
-    options: argparse.Namespace, setup: Setup, memory: Memory, inputs: list[Change]
-) -> ProgramRun:
-    from rx90_emulator.vplus.run import run_program
-
-    chosen = _chosen(options, record_fast=options.output is not None and not options.slow_only)
-    return run_program(
-        setup,
-        memory,
-        options.name,
-        arguments=options.arguments,
-        inputs=inputs,
-        options=chosen,
-        show=_show,
-    )
-
-
-def _on_nodes(
-    options: argparse.Namespace, setup: Setup, memory: Memory, inputs: list[Change]
-) -> ProgramRun:
-    from rx90_common.exchange.ros_start import prepare
-
-    prepare()
-    from rx90_common.exchange.client_node import client_node
-    from rx90_controller.node.program_client import ProgramClient
-    from rx90_emulator.vplus.cell import Cell
-    from rx90_emulator.vplus.run import run_in
-
-    chosen = _chosen(options)
-    with client_node("rx90_program", options.timeout, print, options.ros_args) as client:
-        nodes = ProgramClient(client, options.node, setup.robot.joint_names)
-        cell = Cell(setup, nodes, inputs, chosen.period)
-        cell.publish = nodes.signals(cell.receive)
-        cell.show = _show
-        return run_in(cell, memory, options.name, options.arguments, chosen)
+    if run.error is not None:
+        raise run.error
 
 
 def _show(text: str, time: float, ends: bool) -> None:
@@ -251,8 +227,8 @@ def _readings(words: list[str]) -> Readings:
 
     given = {}
     for word in words:
-        name, equals, value = word.partition("=")
-        if not equals or name not in Readings.model_fields:
+        name, _, value = word.partition("=")
+        if name not in Readings.model_fields:
             raise ConfigError(
                 f"--reading {quoted(word)}; accepted: NAME=VALUE, of {', '.join(Readings.model_fields)}"
             )

@@ -49,14 +49,11 @@ def main(options: argparse.Namespace) -> None:
         if recorded.seed not in (None, options.seed):
             _warn(f"the seed of that run was {recorded.seed}; here --seed {options.seed} holds")
         recorded = replace(recorded, seed=options.seed)
-    if recorded.changed:
+    others = sorted({*recorded.changed, *recorded.given})
+    if others:
         _warn(
-            f"{', '.join(recorded.changed)} changed in that run; here the controller file holds throughout"
-        )
-    if recorded.given:
-        _warn(
-            f"{', '.join(recorded.given)} had other values in that run from its beginning; here the controller "
-            "file and the options of this command hold"
+            f"{', '.join(others)} had other values in that run; here the controller file and the options of this "
+            "command hold"
         )
     finish(partial(replay, setup, recorded), recorded.initial_position, options)
 

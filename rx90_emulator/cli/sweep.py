@@ -74,9 +74,8 @@ def _run(options: argparse.Namespace) -> None:
     if counts.failed == counts.computed:
         errors = read_sweep(options.output)["error"]
         if errors.null_count == 0:
-            runs = "the run" if len(errors) == 1 else f"each of the {len(errors)} runs"
             more = f"rx90 sweep info {plain(options.output)} says more"
-            raise FailureError(f"{runs} failed, for example: {errors[0].as_py()}; {more}")
+            raise FailureError(f"every run failed, for example: {errors[0].as_py()}; {more}")
 
 
 def _add_info(info: argparse.ArgumentParser) -> None:

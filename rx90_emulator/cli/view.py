@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_common.process.children import kill_all
@@ -55,7 +56,10 @@ def main(options: argparse.Namespace) -> None:
     Raises:
         KeyboardInterrupt: before the page shows what it was started for; later Ctrl-C is how it ends.
     """
-    with ends_within(*_END_WITHIN, _give_up, _cut_off) as start:
+    late = f"did not end within {_END_WITHIN[1]:g} s, and was cut off"
+    with ends_within(
+        *_END_WITHIN, partial(_cut_short, "interrupted"), partial(_cut_short, late)
+    ) as start:
         import viser  # noqa: F401 - before kernels are compiled for a page that cannot be made
 
         try:
@@ -65,15 +69,9 @@ def main(options: argparse.Namespace) -> None:
                 raise
 
 
-def _give_up() -> None:
+def _cut_short(why: str) -> None:
     kill_all()
-    print("rx90 view: interrupted", file=sys.stderr, flush=True)
-
-
-def _cut_off() -> None:
-    kill_all()
-    late = f"did not end within {_END_WITHIN[1]:g} s, and was cut off"
-    print(f"rx90 view: {late}", file=sys.stderr, flush=True)
+    print(f"rx90 view: {why}", file=sys.stderr, flush=True)
 
 
 def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> None:

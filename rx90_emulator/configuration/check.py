@@ -19,7 +19,7 @@ from rx90_common.description.poses import Poses
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_controller.lines.task import load_task
-from rx90_emulator.configuration.kinds import KINDS, NODE_PARAMETERS, FileKind
+from rx90_emulator.configuration.kinds import KINDS, FileKind
 from rx90_emulator.identification.experiments.plan import INDEX
 from rx90_emulator.loop.line import plan_path
 from rx90_emulator.loop.setup import Setup
@@ -28,7 +28,7 @@ _MORE_OF_A_KEY = re.compile(r"[\w*]")
 _LINE = re.compile(r"\bline (\d+)")
 _MAX_KEYS = 100  # by which the kind of a file is told
 _NO_LINES: Mapping[str, int] = {}
-_NAMES = (*(kind.name for kind in KINDS), NODE_PARAMETERS)
+_NAMES = tuple(kind.name for kind in KINDS)
 
 
 class CheckedFile(NamedTuple):
@@ -47,10 +47,6 @@ class CheckedFile(NamedTuple):
 
 def kind_named(name: str) -> FileKind:
     """Return a kind by its name."""
-    if name == NODE_PARAMETERS:  # imported here, because it needs ROS and the other kinds do not
-        from rx90_emulator.configuration.nodes import NODE_FILE
-
-        return NODE_FILE
     for kind in KINDS:
         if kind.name == name:
             return kind
@@ -59,8 +55,6 @@ def kind_named(name: str) -> FileKind:
 
 def kind_of(path: Path, content: Mapping[str, Any]) -> FileKind:
     """Return the kind that knows most keys at the top of a file, misspelt ones with it; of several the best fitting."""
-    if _has_node_parameters(content):
-        return kind_named(NODE_PARAMETERS)
 
     def fit(kind: FileKind) -> tuple[int, int]:
         keys = kind.model.model_fields.keys() - set(FileModel.about_keys)
@@ -76,20 +70,12 @@ def kind_of(path: Path, content: Mapping[str, Any]) -> FileKind:
     return best
 
 
-def _has_node_parameters(content: Any) -> bool:
-    return isinstance(content, dict) and (
-        "ros__parameters" in content or any(map(_has_node_parameters, content.values()))
-    )
-
-
 def check_path(path: Path, kind: FileKind | None = None) -> list[CheckedFile]:
     """Check a file, by default for the kind that its content shows, or the files of a robot folder."""
     if kind is None and path.is_file() and path.suffix.lower() == ".urdf":
         return [_check_urdf(path)]
-    if not path.is_dir():
+    if kind is not None or not path.is_dir():
         return [check_file(path, kind)]
-    if kind is not None:
-        raise ConfigError(f"{plain(path)} is a folder; accepted with a kind: a file")
     if (path / INDEX).is_file():
         return [check_file(path / INDEX, kind_named("experiments"))]
     return _check_robot(path)

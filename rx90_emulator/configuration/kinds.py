@@ -25,9 +25,6 @@ from rx90_emulator.identification.experiments.plan import ExperimentsFile, read_
 from rx90_emulator.loop.path_file import PathFile, TrajectoryFile, load_path, load_trajectory
 from rx90_emulator.sweep.plan import SweepPlan, load_sweep_plan
 
-NODE_PARAMETERS = "node_parameters"
-"""The name of the kind of the nodes' parameter files."""
-
 
 def _read_sweep(path: Path) -> object:
     from rx90_emulator.sweep.sweep import Sweep  # takes a while
@@ -85,7 +82,7 @@ KINDS = (
     FileKind("correction", CorrectionHead, load_correction),
     FileKind("experiments", ExperimentsFile, lambda path: read_index(path.parent)),
 )
-"""All kinds but the nodes' parameter files, which need ROS: see nodes.py.
+"""All kinds but the nodes' parameter files, which the nodes check when they start.
 
 A bag's metadata.yaml is rosbag2's, and what is only written for the record needs no schema.
 """

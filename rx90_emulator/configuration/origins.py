@@ -1,9 +1,7 @@
-"""The values of a setup, each with its unit, where it comes from, and whether it is assumed; as a table or as JSON."""
+"""The values of a setup, each with its unit, where it comes from, and whether it is assumed."""
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -151,24 +149,9 @@ def values_table(values: Sequence[ShownValue]) -> str:
     return "\n".join(map(one_line, lines))
 
 
-def values_json(values: Sequence[ShownValue]) -> str:
-    """Return a list of objects, one for each value."""
-    content = [
-        {**shown._asdict(), "value": _plain(shown.value), "assumed": shown.provenance == ASSUMED}
-        for shown in values
-    ]
-    return json.dumps(content, indent=1, ensure_ascii=False)
-
-
 def _text(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_text, value))}]"
     return f"{value:g}" if isinstance(value, float) and float(f"{value:g}") == value else str(value)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return "inf" if value == math.inf else value

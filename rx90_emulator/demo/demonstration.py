@@ -24,7 +24,7 @@ from rx90_common.process.files import write_text
 from rx90_common.report.page import render_page
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import LineTask, load_task
-from rx90_emulator.demo.plots import effort, friction, path_error, tracking
+from rx90_emulator.demo.plots import friction, path_error, tracking
 from rx90_emulator.loop.line import path_accuracy, run_line
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.node.simulation_client import SimulationClient
@@ -92,28 +92,13 @@ class RunReport:
             switched_off=SWITCHED_OFF,
             same=comparison.verdict is Verdict.SAME,
             topics=comparison.topics,
-            joints=_joint_rows(self),
             friction=list(zip(setup.friction.names, setup.friction.elements, strict=True)),
             plots={
                 "path": path_error(self.path, self.path_without, SWITCHED_OFF, PATH_LIMIT),
                 "tracking": tracking(self.joints, self.error),
                 "friction": friction(self.friction),
-                "effort": effort(self.joints),
             },
         )
-
-
-def _joint_rows(run: RunReport) -> list[tuple[str, float, float, float, float]]:
-    """Return per joint: fastest rad/s, worst and RMS position error mrad, largest drive torque Nm."""
-    moving = (run.error.time >= run.path.times[0]) & (run.error.time <= run.path.times[-1])
-    error = run.error.fields["position"][moving]
-    columns = (
-        np.abs(run.joints.fields["velocity"]).max(axis=0),
-        np.abs(error).max(axis=0) * 1e3,
-        np.sqrt(np.mean(error**2, axis=0)) * 1e3,
-        np.abs(run.joints.fields["effort"]).max(axis=0),
-    )
-    return list(zip(run.joints.names, *(column.tolist() for column in columns), strict=True))
 
 
 START_TIME = 0.25
@@ -130,15 +115,13 @@ class Demonstration:
         robot: the name or folder of the robot, for the processes.
         files: its files, and the task.
         pace: the real-time factor; 0 is as fast as it goes.
-        composed: simulation and controller share a process.
     """
 
-    def __init__(self, robot: str, files: RobotFiles, pace: float, *, composed: bool) -> None:
+    def __init__(self, robot: str, files: RobotFiles, pace: float) -> None:
         task_file = files.required("task")
         self._robot = ("-p", f"robot:={robot}")
         self._motion = ("--robot", robot, task_file, "--start-time", START_TIME)
         self._pace = pace
-        self._composed = composed
         self._setup = Setup.load(files)
         self._task = load_task(task_file)
         self._plan = plan_line(self._setup.robot, self._task, self._setup.rates.position_period)
@@ -163,9 +146,8 @@ class Demonstration:
         comparison = compare_bags(recorded, baseline)
         print(comparison_text(comparison))
         run = RunReport(recorded, self._setup, self._task, START_TIME)
-        paced = f"paced to {self._pace:g}" if self._pace else "not paced"
-        nodes = "nodes in one process" if self._composed else "each node a process"
-        write_text(page, run.page(baseline, comparison, factor, f"real time, {paced}; {nodes}"))
+        pace = f"paced to {self._pace:g}" if self._pace else "not paced"
+        write_text(page, run.page(baseline, comparison, factor, f"real time, {pace}"))
         print(
             f"path error: worst {run.path.worst * 1e3:.4f} mm, "
             f"{run.path_without.worst * 1e3:.4f} mm {SWITCHED_OFF}; asked for: {PATH_LIMIT * 1e3:g} mm"
@@ -184,18 +166,14 @@ class Demonstration:
             "real_time_factor": self._pace,
             "paused": "true",
         }
-        parameters = [
-            word for name, value in given.items() for word in ("-p", f"rx90_sim:{name}:={value}")
-        ]
+        parameters = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
         print("starting simulation, controller, trajectory and recorder ...", flush=True)
         with ProcessGroup(logs) as group:
             recorder = group.start("recorder", executable("rx90 bag", "record", "--output", bag))
-            node = "rx90_cell" if self._composed else "rx90_sim"
             simulation = group.start(
-                "simulation", executable(node, "--ros-args", *parameters, *self._robot)
+                "simulation", executable("rx90_sim", "--ros-args", *parameters, *self._robot)
             )
-            if not self._composed:
-                group.start("controller", executable("rx90_controller", "--ros-args", *self._robot))
+            group.start("controller", executable("rx90_controller", "--ros-args", *self._robot))
             line = group.start("trajectory", executable("rx90 line", *self._motion))
             recorder.wait_for("ready: all")
             line.expect_success()

@@ -48,13 +48,6 @@ def friction(elements: JointSeries) -> list[figure]:
     return [over_time, over_velocity]
 
 
-def effort(joints: JointSeries) -> figure:
-    """Show the drive torques."""
-    shown = chart("", "time, s", "drive torque, Nm")
-    _draw(shown, joints.time, joints.fields["effort"], joints.names)
-    return shown
-
-
 def _draw(shown: figure, time: Array, values: Array, names: tuple[str, ...]) -> None:
     """Draw the columns of values, (n, k), over time, (n,)."""
     for k, name in enumerate(names):

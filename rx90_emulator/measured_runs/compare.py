@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -15,22 +14,17 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.topics import absolute
-from rx90_common.base.arrays import MAX_JOINTS, Array
-from rx90_common.base.errors import ConfigError, IdentificationError, TrajectoryError, check_type
-from rx90_common.base.quoting import counted, listed
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import IdentificationError, TrajectoryError, check_type
+from rx90_common.base.quoting import counted
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.description.drives import load_drives
-from rx90_common.description.robot_files import RobotFiles
-from rx90_common.description.urdf import UrdfFile
-from rx90_common.exchange.topics import MOTOR_STATES, motor_names
-from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.exchange.topics import MOTOR_STATES
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
 from rx90_emulator.identification.robot import (
     JOINT_STATES,
     BagLayout,
     arm_layout,
-    message_names,
     recorded_topic,
     topic_names,
     with_signals,
@@ -45,7 +39,6 @@ from rx90_emulator.identification.rows.filtering import (
 )
 from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest
 from rx90_emulator.loop.closed_loop import simulate_commands
-from rx90_emulator.loop.line import PathAccuracy, followed_accuracy
 from rx90_emulator.loop.recorded_setup import check_robot
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
@@ -58,44 +51,13 @@ _REST_SPEED = 1e-6  # rad/s, of a set-point
 _RANGE_SLACK = 1e-5  # of a range: times are whole nanoseconds
 _MAX_GAP_PERIODS = 3.5  # longest gap between set-points that is interpolated, in periods
 
-_OTHER_ARMS = (
-    f"the closed loop simulates arms of 1 to {MAX_JOINTS} revolute joints in series, by drives, friction and "
-    "controller files; for the torque of another arm: rx90 identify check FILE BAG --urdf URDF"
-)
-
-
-def simulated_setup(files: RobotFiles) -> Setup:
-    """Return the setup of a robot's files; refuse an arm of another structure, naming what is possible for it."""
-    for path in (files.drives, files.controller):
-        if not path.is_file():
-            raise ConfigError(f"{path.parent}: no {path.name}; {_OTHER_ARMS}")
-    with suppress(ConfigError):  # Setup.load names the fault
-        joints = tuple(UrdfFile(files.urdf).limits)
-        turning = load_drives(files.drives).turning
-        if len(joints) != len(turning.turns):
-            counts = f"{counted(len(joints), 'movable joint')}, and {files.drives} is of {len(turning.turns)}"
-            raise IdentificationError(f"{files.urdf}: {counts}; {_OTHER_ARMS}")
-        names = turning.element_names(joints)
-        there = FrictionFile.read(files.friction).elements.entries
-        if missing := [name for name in names if name not in there]:
-            raise IdentificationError(
-                f"{files.friction}: no friction element {listed(missing)}; {_OTHER_ARMS}"
-            )
-    return Setup.load(files)
-
 
 def _bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
-    """Return the layout of a bag; refuse the bag of another arm, whose first message names none of its joints."""
+    """Return the layout of a bag of the setup's robot."""
     check_robot(bag, setup.robot.model.name)
-    joints = setup.robot.joint_names
     options, mapping = with_signals(options, [bag])
     topic = options.topic or recorded_topic(bag, (MOTOR_STATES, JOINT_STATES), mapping)
-    names = message_names(bag, topic, mapping) if options.names is None else ()
-    if names and not {*names} & {*joints, *motor_names(len(joints))}:
-        raise IdentificationError(
-            f"{bag}: {topic} is of {listed(names)}; accepted: {listed(joints)}, or names in a signal map; {_OTHER_ARMS}"
-        )
-    return arm_layout(topic, joints, options, lambda: setup.drives, mapping)
+    return arm_layout(topic, setup.robot.joint_names, options, lambda: setup.drives, mapping)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +75,6 @@ class MeasuredComparison:
         lag: delay of the simulated against the measured motion, s; the series are shifted by it.
         bandwidths: of the set-points, and of torques and positions here.
         setpoints: source of the set-points, in words.
-        paths: path errors along the set-points below the compared band, measured and simulated.
-        saturated: share of the time in which each motor was at its limit in the simulation, shape (n,).
         remarks: further notes, a sentence each.
         tolerances: limits for agreement.
     """
@@ -128,25 +88,23 @@ class MeasuredComparison:
     lag: float
     bandwidths: Bandwidths
     setpoints: str
-    paths: Sequence[PathAccuracy]
-    saturated: Array
     remarks: tuple[str, ...]
     tolerances: MeasuredTolerances
 
     @property
-    def compared_share(self) -> Array:
-        """Return the share of the time in which a joint's torque is compared, shape (n,)."""
-        return np.asarray(self.torque.compared.mean(axis=0))
+    def position_difference(self) -> Array:
+        """Return the simulated less the measured positions, rad, shape (k, n)."""
+        return self.simulated_position - self.position
 
     @property
     def position_rms(self) -> Array:
         """Return the RMS position difference, rad, shape (n,)."""
-        return np.asarray(np.sqrt(np.mean((self.simulated_position - self.position) ** 2, axis=0)))
+        return np.asarray(np.sqrt(np.mean(self.position_difference**2, axis=0)))
 
     @property
     def position_worst(self) -> Array:
         """Return the largest position difference, rad, shape (n,)."""
-        return np.asarray(np.abs(self.simulated_position - self.position).max(axis=0))
+        return np.asarray(np.abs(self.position_difference).max(axis=0))
 
     @property
     def criteria(self) -> tuple[Criterion, Criterion, Criterion]:
@@ -161,7 +119,7 @@ class MeasuredComparison:
     @property
     def passed(self) -> bool:
         """Return whether torques, of each joint that moves and of all together, and positions agree."""
-        return all(one.passed for one in self.criteria)
+        return all(criterion.passed for criterion in self.criteria)
 
 
 _MAX_BANDWIDTH_SHARE = 0.3  # largest bandwidth of the set-points over the rate of the position loop
@@ -222,18 +180,12 @@ def compare_measured(
     matrix = setup.drives.turning.element_matrix
     resting = element_states(run, matrix)[0] @ (matrix != 0.0)
     moves = np.asarray(~resting & (np.ptp(run.position, axis=0) > _MIN_TRAVEL))
-    nothing = IdentificationError(
-        f"{path}: no joint moves, and torques at rest are not compared; accepted: a joint that slides over "
-        f"{1e3 * _MIN_TRAVEL:g} mrad or more"
-    )
-    if not moves.any():
-        raise nothing
     setpoints = _recorded_setpoints(run, record.position[0], setup, what) or path_setpoints(
         run, setup
     )
-    beyond = _beyond(setpoints, path, setup)
+    _check_ranges(setpoints, path, setup)
     progress("closed loop")
-    simulated, begin, end, saturated = _simulated(setup, setpoints, run)
+    simulated, begin, end = _simulated(setup, setpoints, run)
     progress("comparison")
     time = run.time[run.rows]
     # covered for any lag of the simulated arm
@@ -243,7 +195,10 @@ def compare_measured(
             "measured and simulated run have no time in common; accepted: a longer bag"
         )
     if not moves[rows].any():
-        raise nothing
+        raise IdentificationError(
+            f"{path}: no joint moves, and torques at rest are not compared; accepted: a joint that slides over "
+            f"{1e3 * _MIN_TRAVEL:g} mrad or more"
+        )
     time = time[rows]
     velocity = run.velocity[run.rows][rows]
     measured = run.parallel(np.stack([run.position, run.torque], axis=1))[rows]
@@ -253,14 +208,6 @@ def compare_measured(
         lag -= float(np.sum(difference * velocity)) / float(np.sum(velocity**2))
         lag = float(np.clip(lag, -_MAX_LAG_S, _MAX_LAG_S))
     follows = np.asarray(simulated(time + lag - setpoints.start))
-    # since the first of them
-    when = np.arange(len(setpoints.values), dtype=np.float64) * setup.rates.position_period
-    paths = [
-        followed_accuracy(
-            setup.robot, time - setpoints.start, arm[:, 0], when, setpoints.values[:, 0]
-        )
-        for arm in (measured, follows)
-    ]
     return MeasuredComparison(
         names=run.names,
         robot=setup.robot.model.name,
@@ -271,9 +218,7 @@ def compare_measured(
         lag=lag,
         bandwidths=run.bandwidths,
         setpoints=setpoints.source,
-        paths=paths,
-        saturated=saturated,
-        remarks=(*beyond, *_remarks(record, pieces, run)),
+        remarks=_remarks(record, pieces, run),
         tolerances=tolerances,
     )
 
@@ -326,10 +271,6 @@ def _recorded_setpoints(
         raise IdentificationError(
             f"{bag}: the set-points of {series.topic} have gaps; accepted: a steady stream"
         )
-    if time[0] > run.time[-1] or time[-1] < run.time[0]:
-        raise IdentificationError(
-            f"{bag}: {series.topic} and the measured states are of different times"
-        )
     if (steps != setup.rates.period_ns * setup.rates.ratio).any():
         since = (series.stamp_ns - series.stamp_ns[0]) / NANOSECONDS
         curve = BPoly.from_derivatives(since, np.stack([position, velocity], axis=1))
@@ -378,44 +319,32 @@ def _with_lead_in(begin: float, values: Array, setup: Setup, source: str) -> _Se
     return _SetPoints(begin - (hold + lead) * period, whole, begin, start_pose, source)
 
 
-def _beyond(setpoints: _SetPoints, bag: Path, setup: Setup) -> tuple[str, ...]:
-    """Return a sentence for velocities, and one for accelerations, that the controller would refuse.
+def _check_ranges(setpoints: _SetPoints, bag: Path, setup: Setup) -> None:
+    """Refuse positions beyond a joint's range.
 
-    The measured arm did move so: these are simulated nevertheless, up to the limits of the controller's supervision.
-    Positions beyond a joint's range are refused.
+    Velocities and accelerations may be beyond the controller's limits: the measured arm did move so.
     """
-    limits = setup.controller.limits(setup.robot)
-    found = []
-    for k, (what, unit, low, high) in enumerate((
-        ("position", "rad", limits.lower, limits.upper),
-        ("velocity", "rad/s", -limits.velocity, limits.velocity),
-        ("acceleration", "rad/s^2", -limits.acceleration, limits.acceleration),
-    )):  # fmt: skip
-        values = setpoints.values[:, k]
-        beyond = np.maximum(low - values, values - high) / (high - low)
-        row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
-        if beyond[row, joint] <= _RANGE_SLACK:
-            continue
-        time = setpoints.start + row * setup.rates.position_period
-        where = f"{time:.3f} s" if time >= setpoints.begin else "the lead-in, before the bag begins"
-        fault = (
-            f"{limits.names[joint]} needs the {what} {values[row, joint]:.4g} {unit} at {where}; accepted by the "
-            f"robot's files: [{low[joint]:.4g}, {high[joint]:.4g}] {unit}"
+    low = setup.robot.lower
+    high = setup.robot.upper
+    position = setpoints.values[:, 0]
+    beyond = np.maximum(low - position, position - high) / (high - low)
+    row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+    if beyond[row, joint] > _RANGE_SLACK:
+        raise TrajectoryError(
+            f"{bag}: {setup.robot.joint_names[joint]} needs the position {position[row, joint]:.4g} rad at "
+            f"{setpoints.start + row * setup.rates.position_period:.3f} s; accepted by the robot's files: "
+            f"[{low[joint]:.4g}, {high[joint]:.4g}] rad; set-points are {setpoints.source}"
         )
-        if k == 0:
-            raise TrajectoryError(f"{bag}: {fault}; set-points are {setpoints.source}")
-        found.append(f"{fault}; the simulation goes on nevertheless")
-    return tuple(found)
 
 
 def _simulated(
     setup: Setup, setpoints: _SetPoints, run: FilteredRun
-) -> tuple[BSpline, float, float, Array]:
+) -> tuple[BSpline, float, float]:
     """Return the simulated run, filtered by the low-pass of the measured one.
 
     Returns:
-        Position rad and torque Nm by the time since the first set-point, shape (k, 2, n), the first and last time
-        covered, by the bag's stamps, and the share of the time in which each motor was at its limit, shape (n,).
+        Position rad and torque Nm by the time since the first set-point, shape (k, 2, n), and the first and last time
+        covered, by the bag's stamps.
     """
     # Sampled at the measured rate: aliasing by slow sampling is then the same on both sides.
     rates = setup.rates
@@ -436,8 +365,7 @@ def _simulated(
     since = (len(taps) // 2 + np.arange(len(filtered))) / rate
     begin = setpoints.start + float(since[0])
     end = setpoints.start + float(since[-1])
-    saturated = simulated.saturated / (len(setpoints.values) * rates.ratio)
-    return make_interp_spline(since, filtered, k=3), max(begin, setpoints.begin), end, saturated
+    return make_interp_spline(since, filtered, k=3), max(begin, setpoints.begin), end
 
 
 def _remarks(
@@ -445,12 +373,7 @@ def _remarks(
 ) -> tuple[str, ...]:
     """Return which parts of the bag are not compared, and why."""
     found = []
-    # cut off by the filters at both ends
-    cut = 2.0 * (1.5 / run.bandwidths.position + 12.0 / run.rate)
-    if (
-        len(pieces) > 1
-        or record.time[-1] - record.time[0] - (run.time[-1] - run.time[0]) > 1.5 * cut
-    ):
+    if len(pieces) > 1:
         found.append(
             f"there are gaps in the record: only {run.time[0]:.3f} to {run.time[-1]:.3f} s of {record.time[0]:.3f} to "
             f"{record.time[-1]:.3f} s is compared, the longest part without one"

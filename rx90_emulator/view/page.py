@@ -72,14 +72,10 @@ class Page:
             lambda said: said.getMessage() != "opening handshake failed"
         )
         self.server = _Server(host=host, port=port, label=title, verbose=False)
-        bound = self.server.get_port()
-        if port and bound != port:  # viser takes the next one that is free
-            self.server.stop()
-            raise _not_bound(host, port, "taken meanwhile")
         self.gui = self.server.gui
         self.scene = self.server.scene
         shown = f"[{host}]" if ":" in host else host
-        self.address = f"http://{shown}:{bound}/"
+        self.address = f"http://{shown}:{self.server.get_port()}/"
         self.gui.configure_theme(show_logo=False, show_share_button=False)
         self.gui.main_panel.dock_right()
         self.gui.main_panel.set_width(_PANEL_WIDTH)
@@ -197,11 +193,7 @@ def _is_open_to_others(host: str, port: int) -> bool:
         with socket.create_server(place, family=family) as bound:
             address = str(bound.getsockname()[0])
     except OSError as error:
-        raise _not_bound(host, port, os.strerror(error.errno or 0)) from error
+        reason = os.strerror(error.errno or 0)
+        accepted = "--port with a free one, or 0 for any, and an address of this machine"
+        raise ConfigError(f"{host} port {port}: {reason}; accepted: {accepted}") from error
     return not ipaddress.ip_address(address.partition("%")[0]).is_loopback
-
-
-def _not_bound(host: str, port: int, reason: str) -> ConfigError:
-    return ConfigError(
-        f"{host} port {port}: {reason}; accepted: --port with a free one, or 0 for any, and an address of this machine"
-    )

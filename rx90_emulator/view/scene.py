@@ -86,8 +86,7 @@ _ERROR_COLORS = np.array(
 )
 _OFF_LINE = np.array([150.0, 150.0, 150.0])
 _SPOT = (255, 40, 40)
-# The page takes the colours of a line's points as brightness of light, and the screen's are not in proportion to it.
-_LINEAR = np.round(255.0 * (np.arange(256) / 255.0) ** 2.2).astype(np.uint8)
+_GAMMA = 2.2  # the page takes the colours of a line's points as brightness of light
 
 
 def line_colors(error: Array) -> Array:
@@ -98,9 +97,8 @@ def line_colors(error: Array) -> Array:
     places = np.arange(len(_ERROR_COLORS))
     share = np.clip(np.nan_to_num(error) / FULL_SCALE, 0.0, 1.0) * places[-1]
     colors = np.stack([np.interp(share, places, channel) for channel in _ERROR_COLORS.T], axis=-1)
-    return np.asarray(
-        _LINEAR[np.where(np.isnan(error)[:, None], _OFF_LINE, colors).astype(np.uint8)]
-    )
+    colors[np.isnan(error)] = _OFF_LINE
+    return np.round(255.0 * (colors / 255.0) ** _GAMMA).astype(np.uint8)
 
 
 def connect(lines: viser.LineSegmentsHandle, points: Array, colors: Array | None = None) -> None:
@@ -122,7 +120,7 @@ def legend_html() -> str:
         '<div style="padding:0 0.6em;font-size:0.8em"><div>path error of the laser spot, mm</div>'
         f'<div style="height:0.7em;border-radius:2px;background:linear-gradient(to right, {stops})"></div>'
         '<div style="display:flex;justify-content:space-between">'
-        f"<span>0</span><span>{limit / 2:g}</span><span>&ge; {limit:g}</span></div>"
+        f"<span>0</span><span>&ge; {limit:g}</span></div>"
         f'<div><span style="color:rgb({grey})">&#9632;</span> not on the line</div></div>'
     )
 

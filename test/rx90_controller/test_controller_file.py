@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 from refusals import refusal_by
 
+from rx90_common.base.errors import ConfigError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.law.parameters import load_controller
-from rx90_emulator.configuration.nodes import node_faults
+from rx90_controller.node.parameters import ControllerParameters
 from rx90_emulator.loop.setup import Setup
 
 Edit = Callable[..., Path]
@@ -74,10 +75,13 @@ def test_the_model_s_files_may_be_named(shipped_files: RobotFiles, edited_yaml: 
 )
 def test_a_file_for_another_controller_is_refused(name: str, value: Any, said: str) -> None:
     """Joints and interfaces of a file for joint_trajectory_controller are the arm's."""
-    assert node_faults("rx90_controller", {name: value}) == [f"{name} is {value!r}; accepted: {said}, in any order"]
+    with pytest.raises(ConfigError) as refused:
+        ControllerParameters.of({name: value})
+    assert str(refused.value) == f"parameter {name} is {value!r}; accepted: {said}, in any order"
 
 
 def test_a_file_for_this_arm_is_taken(shipped: Setup) -> None:
     """The same keys with the arm's values, in any order, are taken."""
     mine = {"joints": list(reversed(shipped.robot.joint_names)), "state_interfaces": ["velocity", "position"]}
-    assert node_faults("rx90_controller", {**mine, "command_interfaces": ["position"], "update_rate": 100}) == []
+    taken = ControllerParameters.of({**mine, "command_interfaces": ["position"], "update_rate": 100})
+    assert taken == ControllerParameters.of({})

@@ -69,8 +69,9 @@ def _swept(arm: Arm, page: Path) -> None:
     plan = {"base": {"robot": str(arm[0])}, "blocks": {TEXTS[1]: {"grid": {TEXTS[2]: parameter}}}}
     file = page.with_suffix(".yaml")
     file.write_text(yaml.safe_dump(plan), encoding="utf-8")
-    words = ["run", str(file), "--output", str(page.with_suffix(".parquet")), "--report", str(page)]
-    assert run("rx90 sweep", [*words, "--workers", "1"]) == 0
+    results = str(page.with_suffix(".parquet"))
+    assert run("rx90 sweep", ["run", str(file), "--output", results, "--workers", "1"]) == 0
+    assert run("rx90 sweep", ["report", results, "--output", str(page)]) == 0
 
 
 def _checked(arm: Arm, page: Path) -> None:

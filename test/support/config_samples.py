@@ -27,24 +27,6 @@ delimiter: ;
 decimal: ','
 header: 2
 """,
-    "node_parameters": """\
-/**/rx90_sim:
-  ros__parameters:
-    real_time_factor: 0
-    robot: tx40
-    initial_position: [0, 0.1, 0, 0, 0, 0]
-    paused: true
-cell_1/rx90_controller:
-  ros__parameters:
-    servo: {kp: [1, 2, 3, 4, 5, 6]}
-    feed_forward.coulomb: false
-    constraints: {joint_1.goal: 0.1, goal_time: 1}
-    slow_topics_every_n_ticks: 5
-friction_bench:
-  ros__parameters: {seed: 3, ramp_slope: 0.03}
-rviz2:
-  ros__parameters: {use_sim_time: true}
-""",
     "correction": """\
 robot: rx90b
 payload: {mass: 3.7, center_of_mass: [0, 0, 0.1]}

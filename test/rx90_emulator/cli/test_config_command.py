@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -20,20 +19,10 @@ from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import EXECUTABLES, VERBS, run
 from rx90_emulator.configuration.check import kind_of
+from rx90_emulator.configuration.origins import ShownValue, rig_values, robot_values
 
 Captured = pytest.CaptureFixture[str]
-Show = Callable[..., dict[str, dict[str, object]]]
 REFERENCE = Path(__file__).resolve().parents[2] / "reference/reference_task"
-NODE_FILE = """\
-/**/rx90_sim:
-  ros__parameters:
-    real_time_factor: 0.5
-    tool: ""
-rx90_controller:
-  ros__parameters:
-    servo: {kp: [1, 2, 3, 4, 5, 6]}
-    feed_forward.coulomb: false
-"""
 
 
 @pytest.fixture
@@ -42,15 +31,9 @@ def arm(tmp_path: Path) -> Path:
     return Path(shutil.copytree(config_path("robots/rx90b"), tmp_path / "arm"))
 
 
-@pytest.fixture
-def show(capsys: Captured) -> Show:
-    """Return a function that shows a setup and returns its values by their names."""
-
-    def call(*words: str) -> dict[str, dict[str, object]]:
-        assert run("rx90 config", ["show", "--json", *words]) == 0, capsys.readouterr().err
-        return {one["name"]: one for one in json.loads(capsys.readouterr().out)}
-
-    return call
+def show(robot: str, rig: str = "rig/gm8224.yaml") -> dict[str, ShownValue]:
+    """Return the values of a robot and a rig by their names."""
+    return {one.name: one for one in (*robot_values(RobotFiles.named(robot)), *rig_values(rig))}
 
 
 def edited(path: Path, *changes: tuple[str, str]) -> None:
@@ -175,24 +158,6 @@ def test_a_robot_folder_is_checked_as_a_whole(
     assert f"{arm}/drives.yaml: is missing; accepted: a drives file" in capsys.readouterr().out
 
 
-def test_a_parameter_file_of_the_nodes_is_checked(tmp_path: Path, capsys: Captured) -> None:
-    """Unknown names, ranges and numbers of values are told for each node, in any namespace; other nodes are let be."""
-    file = tmp_path / "nodes.yaml"
-    file.write_text(NODE_FILE + "rviz2: {ros__parameters: {odd: 1}}\n", encoding="utf-8")
-    assert run("rx90 config", ["check", str(file)]) == 0
-    assert capsys.readouterr().out == f"{file}: node_parameters, no problem\n"
-    edited(file, ("factor: 0.5", "factor: -1"), ("4, 5, 6]", "4, 5, 6, 7, 8]"), ("coulomb:", "columb:"))
-    assert run("rx90 config", ["check", str(file)]) == 1
-    said = capsys.readouterr().out.splitlines()
-    assert said[0] == (
-        f"{file}:3: /**/rx90_sim.ros__parameters.real_time_factor is -1; accepted: a number in [0, 1000]"
-    )
-    assert f"{file}:8: rx90_controller.ros__parameters.feed_forward.columb is not a known key; accepted" in said[1]
-    assert said[2].startswith(
-        f"{file}:7: rx90_controller.ros__parameters.servo.kp is [1, 2, 3, 4, 5, 6, 7, 8]; accepted: a list with one "
-    )
-
-
 def leaves(content: dict[str, object], before: str, *around: object) -> Iterator[tuple[str, object, list[object]]]:
     """Yield the place of each value of a file, the value, and the mappings around it."""
     for key, value in content.items():
@@ -202,40 +167,48 @@ def leaves(content: dict[str, object], before: str, *around: object) -> Iterator
             yield f"{before}.{key}", value, [*around, content]
 
 
-@pytest.mark.parametrize("file", ["drives", "friction", "controller", "rig/gm8224_lugre.yaml"])
-def test_every_value_is_shown_with_the_line_that_it_comes_from(show: Show, file: str) -> None:
+@pytest.mark.parametrize(
+    "file", ["tx40/drives", "tx40/friction", "tx40/controller", "panda/drives", "panda/controller", "rig/gm8224_lugre"]
+)
+def test_every_value_is_shown_with_the_line_that_it_comes_from(file: str) -> None:
     """Each value of a robot's files, and of a rig's, has the line, provenance and source that the file gives it."""
-    role, name = ("rig", file) if "/" in file else (file, f"robots/tx40/{file}.yaml")
+    folder, role = file.split("/")
+    robot, name = (folder, f"robots/{file}.yaml")
+    if folder == "rig":
+        robot, role, name = "tx40", "rig", f"{file}.yaml"
     lines, data = (read(config_path(name).read_text("utf-8")) for read in (str.splitlines, yaml.safe_load))
-    values = show("--robot", "tx40", "--rig", "rig/gm8224_lugre.yaml")
-    own = {key for key, one in values.items() if key.startswith(f"{role}.") and str(one["origin"]).startswith(name)}
+    values = show(robot, "rig/gm8224_lugre.yaml")
+    own = {key for key, one in values.items() if key.startswith(f"{role}.") and one.origin.startswith(name)}
     expected = list(leaves(data, role))
     assert own == {place for place, *_ in expected if not place.startswith("friction.identification")}
     assert len(own) > 10
     for place, value, around in expected:
         one, key = values[place], place.rpartition(".")[2]
-        assert one["value"] == value
-        assert f"{key}:" in lines[int(str(one["origin"]).rpartition(":")[2]) - 1]
+        assert one.value == value
+        assert f"{key}:" in lines[int(one.origin.rpartition(":")[2]) - 1]
         for word in ("provenance", "source"):
             given = [each[word] for each in around if isinstance(each, dict) and word in each]
             said = [each.get(key, each.get("others")) if isinstance(each, dict) else each for each in given]
-            assert one[word] == ([each for each in said if each is not None] or [""])[-1]
-        assert one["assumed"] == (one["provenance"] == "assumed")
+            assert getattr(one, word) == ([each for each in said if each is not None] or [""])[-1]
 
 
-def test_units_defaults_and_the_choice_of_files_are_shown(show: Show) -> None:
+def test_units_defaults_and_the_choice_of_files_are_shown(capsys: Captured) -> None:
     """What no file has is a default of the code; files are those of the robot, or of options."""
-    usual = show("--robot", "tx40")
-    assert usual["friction.elements.joint_1.alpha"]["origin"] == "default of the code"
-    assert usual["drives.motor.peak_current"]["unit"] == "A"
-    assert usual["file.tool"]["value"] == "none"
-    identified = show("--robot", "panda")
-    said = [identified[f"friction.elements.panda_joint1.{name}"]["provenance"] for name in ("c2", "tau_s")]
+    usual = show("tx40")
+    assert usual["friction.elements.joint_1.alpha"].origin == "default of the code"
+    assert usual["drives.motor.peak_current"].unit == "A"
+    assert usual["file.tool"].value == "none"
+    identified = show("panda")
+    said = [identified[f"friction.elements.panda_joint1.{name}"].provenance for name in ("c2", "tau_s")]
     assert said == ["identified", "assumed"]  # in one block, of which the file's block `identification` knows more
-    assert usual["file.rig"]["value"] == "rig/gm8224.yaml"
-    assert usual["rig.emulation.joint_friction.model"]["value"] == "coulomb_viscous"
-    other = show("--robot", "tx40", "--rig", "rig/gm8224_lugre.yaml")
-    assert other["rig.emulation.joint_friction.model"]["value"] == "lugre"
+    assert usual["file.rig"].value == "rig/gm8224.yaml"
+    assert usual["rig.emulation.joint_friction.model"].value == "coulomb_viscous"
+    assert run("rx90 config", ["show"]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"tool\.inertial\.mass +3\.5 +kg +robots/rx90b/tool\.yaml:\d+ +ASSUMED \[1\]", said)
+    assert "[1] a welding head of 3.5 kg" in said
+    other = show("tx40", "rig/gm8224_lugre.yaml")
+    assert other["rig.emulation.joint_friction.model"].value == "lugre"
 
 
 OFFERED = {
@@ -246,18 +219,15 @@ OFFERED = {
     "rx90 rig selftest --po": {"--port"},
     "rx90 run --fee": {"--feed-forward"},
     "rx90 run --feed-forward ": {"all", "none"},
-    "rx90 bag record motor_s": {"motor_states"},
-    "rx90 run --robot r": {"rx90b", "robots"},
+    "rx90 run --robot r": {"robots"},
     "rx90 identify sliding --presl": {"--presliding"},
     "rx90 run --output ": {"robots"},
-    "rx90 sweep run sweep/p": {"sweep/payload_and_speed.yaml"},
     "rx90 config check m": {"my_task.yaml"},
     "rx90_sim --params-file m": {"my_task.yaml"},
     **{f"{name} --": {"--help"} for name in EXECUTABLES},
 }
 """What completion offers at least behind some words, in a folder with `robots` and `my_task.yaml`."""
-IN_FISH = {words: OFFERED[words] for words in ("rx90 bag ", "rx90 run --feed-forward ", "rx90 sweep run sweep/p")}
-IN_FISH |= {"rx90 run --robot ": {"rx90b", "tx40"}, "rx90 config check m": {"my_task.yaml"}}
+IN_FISH = {words: OFFERED[words] for words in ("rx90 bag ", "rx90 run --feed-forward ", "rx90 config check m")}
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -27,8 +27,7 @@ from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.node.parameters import ControllerParameters
 from rx90_emulator.configuration.check import kind_named
-from rx90_emulator.configuration.kinds import KINDS, NODE_PARAMETERS, FileKind
-from rx90_emulator.configuration.nodes import node_faults
+from rx90_emulator.configuration.kinds import KINDS, FileKind
 from rx90_emulator.identification.experiments.plan import INDEX
 from tools import schemas
 
@@ -204,19 +203,15 @@ def test_the_shipped_schemas_are_those_of_the_readers() -> None:
 
 
 def test_good_files_fit_their_schemas(samples: list[tuple[str, Path]]) -> None:
-    """Shipped files and those of every other kind are read, and fit their schemas; the nodes' have none."""
-    assert {kind for kind, _ in samples} == {*(kind.name for kind in KINDS), NODE_PARAMETERS}
+    """Shipped files and those of every other kind are read, and fit their schemas."""
+    assert {kind for kind, _ in samples} == {kind.name for kind in KINDS}
     for kind, path in samples:
         kind_named(kind).read(path)
-        assert kind == NODE_PARAMETERS or schema_faults(kind, path) == [], path
+        assert schema_faults(kind, path) == [], path
 
 
 def test_what_joint_trajectory_controller_alone_has_is_taken_out() -> None:
-    """Its parameters without a counterpart are no parameters of the node, nor unknown."""
+    """Its parameters without a counterpart are no parameters of the node."""
     joints = [f"joint_{k}" for k in (6, 1, 2, 3, 4, 5)]
     given = {"joints": joints, "gains.joint_1.p": 1.0, "cmd_timeout": 0.0}
-    assert node_faults("rx90_controller", given) == []
     assert ControllerParameters.of(given) == ControllerParameters.of({})
-    for name in ("gain", "interpolation_methods", "joint"):
-        (line,) = node_faults("rx90_controller", {name: 1.0})
-        assert line.startswith(f"{name} is not a known key")

@@ -87,15 +87,6 @@ def test_the_engines_own_run_is_met_and_wrong_friction_shows_with_its_size(measu
     assert np.nanmax(result.torque.rms_share) < 5e-3
     assert result.position_worst.max() < 5e-6
     assert abs(result.lag) < 1e-5
-    series, asked = measured.run.series["joint_states"], measured.run.slow.reference[:, 0]
-    rows = (series.time >= result.torque.time[0]) & (series.time <= result.torque.time[-1])
-    times, position = series.time[rows], np.asarray(series.position)[rows]
-    own = rx.followed_accuracy(measured.setup.robot, times, position, measured.run.times, asked)
-    for path in result.paths:
-        assert path.worst == pytest.approx(own.worst, rel=0.03)
-        assert path.worst_along_track == pytest.approx(own.worst_along_track, rel=0.03)
-        assert path.worst_orientation == pytest.approx(own.worst_orientation, rel=0.03)
-        assert path.words in rx.measured_summary(result)
     wrong = rx.compare_measured(measured.bag, scaled(measured, 1.3))
     assert not wrong.passed
     assert wrong.torque.total_share > wrong.tolerances.total_torque
@@ -113,8 +104,6 @@ def test_the_measured_path_does_without_set_points(measured: Measured, rate: int
     bag = measured.write(f"joints_{rate}", measured.joints(rate))
     good = rx.compare_measured(bag, measured.setup)
     assert good.setpoints.startswith("the measured path below")
-    # No set-point, those on the way to the begin of the path included, is beyond a limit.
-    assert not any("needs the" in remark for remark in good.remarks)
     assert good.passed
     assert good.torque.total_share < 0.05
     if rate == 1000:
@@ -157,7 +146,7 @@ def test_what_is_beyond_the_band_or_at_rest_does_not_count(measured: Measured) -
 
 
 def test_a_path_beyond_the_limits_is_named(measured: Measured) -> None:
-    """A position beyond the range is refused with joint, value and time; too fast an acceleration is a remark."""
+    """A position beyond the range is refused with joint, value and time."""
     low = np.array(measured.setup.robot.lower)
     low[1] = 0.25
     bag = measured.write("limits", measured.joints())
@@ -168,8 +157,6 @@ def test_a_path_beyond_the_limits_is_named(measured: Measured) -> None:
     words = str(caught.value).split()
     assert float(words[words.index("position") + 1]) == pytest.approx(position.min(), abs=1e-3)
     assert float(words[words.index("at") + 1]) == pytest.approx(position.argmin() * 1e-3, abs=0.02)
-    slow = rx.with_parameters(measured.setup, {"controller.max_acceleration[*]": 0.3})
-    assert any("needs the acceleration" in remark for remark in rx.compare_measured(bag, slow).remarks)
 
 
 def test_set_points_of_another_rate_and_zero_are_followed(measured: Measured) -> None:
@@ -192,13 +179,13 @@ def test_set_points_of_another_rate_and_zero_are_followed(measured: Measured) ->
         rx.compare_measured(bag, measured.setup, rx.MeasuredLayout(zero=zero), bandwidth=1e3)
 
 
-@pytest.mark.parametrize("said", ["have gaps", "are of different times", "no joint moves"])
+@pytest.mark.parametrize("said", ["have gaps", "have no time in common", "no joint moves"])
 def test_what_cannot_be_followed_is_refused(measured: Measured, said: str) -> None:
     """Set-points with a hole, those that were recorded at another time, and an arm that holds still are named."""
     series, joints = measured.run.series["rx90_controller/reference"], measured.joints()
     kept = np.r_[0:100, 120 : len(series.stamp_ns)] if said == "have gaps" else np.arange(len(series.stamp_ns))
     parts = {name: np.asarray(getattr(series, name))[kept] for name in ("stamp_ns", "position", "velocity")}
-    if said == "are of different times":
+    if said == "have no time in common":
         parts["stamp_ns"] = parts["stamp_ns"] + 1_000_000_000_000
     if said == "no joint moves":
         still = np.tile(np.asarray(joints.position)[0], (len(joints.time), 1))
