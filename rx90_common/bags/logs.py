@@ -19,8 +19,8 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from rx90_common.bags.damage import library_errors, load_arrays
 from rx90_common.bags.joint_series import Int64Array, JointSeries
-from rx90_common.bags.limits import library_errors, load_arrays
 from rx90_common.bags.mapping import DELIMITERS, TIME_UNITS, FieldColumns, LogMapping, mapping_of
 from rx90_common.bags.topics import absolute
 from rx90_common.base.errors import BagError, located

@@ -1,4 +1,4 @@
-"""Comparisons and summaries of bags as tables for a person and as JSON for a program."""
+"""Comparisons and summaries of bags as tables for a person, and comparisons as JSON for a program."""
 
 from __future__ import annotations
 
@@ -86,12 +86,6 @@ def _value_row(value: ValueDifference) -> tuple[str, ...]:
         f"{value.beyond}",
         f"{value.not_finite}",
     )
-
-
-def summary_json(summary: BagSummary) -> str:
-    """Return all figures as JSON: times in ns, rates in Hz."""
-    content = asdict(summary) | {"path": str(summary.path), "count": summary.count}
-    return json.dumps(content, indent=2, allow_nan=False)
 
 
 def summary_text(summary: BagSummary) -> str:

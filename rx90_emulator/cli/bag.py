@@ -295,19 +295,16 @@ def _import(args: argparse.Namespace) -> None:
 def _add_info(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", **_BAG)
     _add_signals(parser)
-    add_json(parser)
 
 
 def _info(options: argparse.Namespace) -> None:
     """Summarise a bag: topics, counts, rates, times, and gaps between stamps."""
     from rx90_common.bags.summary import summarise
-    from rx90_common.bags.tables import summary_json, summary_text
+    from rx90_common.bags.tables import summary_text
 
     signals = _signals(options)
-    summary = summarise(options.bag, signals)
-    print(summary_json(summary) if options.json else summary_text(summary))
-    if not options.json:
-        _say_cut(options.bag, signals)
+    print(summary_text(summarise(options.bag, signals)))
+    _say_cut(options.bag, signals)
 
 
 def _say_cut(bag: Path | str, mapping: LogMapping | None) -> None:

@@ -142,7 +142,7 @@ def node(ros_domain: int) -> Iterator[Node]:
 
 @pytest.mark.ros
 def test_what_is_sent_is_taken_whole(node: Node) -> None:
-    """Messages come in order, to the bit, numbered and with their times, while the receiving thread seldom wakes."""
+    """Messages come in order, to the bit, numbered and with their times."""
     count = 1500
     publisher = node.create_publisher(JointState, "numbers", TICK_QOS)
     streams = Streams(node, ["numbers"])
@@ -163,4 +163,3 @@ def test_what_is_sent_is_taken_whole(node: Node) -> None:
     assert (received(stream.counter), lost(stream.counter), stream.repeated) == (count, 0, 0)
     assert times == sorted(times)
     assert began <= stream.sent_ns <= times[-1]
-    assert 0 < streams._batching.pauses < count / 10
