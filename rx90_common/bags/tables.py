@@ -1,9 +1,6 @@
-"""Comparisons and summaries of bags as tables for a person, and comparisons as JSON for a program."""
+"""Comparisons and summaries of bags as tables."""
 
 from __future__ import annotations
-
-import json
-from dataclasses import asdict
 
 from rx90_common.bags.comparison import BagComparison, TopicComparison, ValueDifference, Verdict
 from rx90_common.bags.summary import BagSummary, TopicSummary
@@ -46,22 +43,6 @@ def comparison_text(comparison: BagComparison) -> str:
     elif comparison.skipped:
         blocks.append(f"not compared, as they are no JointState: {listed(comparison.skipped)}")
     return "\n\n".join([*blocks, verdict])
-
-
-def comparison_json(comparison: BagComparison) -> str:
-    """Return all figures as JSON: stamps in ns, values in rad, rad/s and Nm."""
-    content = {
-        "a": str(comparison.path_a),
-        "b": str(comparison.path_b),
-        "verdict": comparison.verdict.name.lower(),
-        "exit_code": int(comparison.verdict),
-        "shift_ns": comparison.shift_ns,
-        "topics": [
-            asdict(topic) | {"verdict": topic.verdict.name.lower()} for topic in comparison.topics
-        ],
-        "not_compared": list(comparison.skipped),
-    }
-    return json.dumps(content, indent=2, allow_nan=False)
 
 
 def _topic_text(topic: TopicComparison) -> str:

@@ -19,7 +19,6 @@ from rx90_common.process.interrupts import stop_request
 from rx90_emulator.cli.options import (
     add_force,
     add_joints_argument,
-    add_json,
     add_output,
     add_robot_arguments,
     add_signals_argument,
@@ -146,7 +145,6 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
         help="move the stamps of B: so that both bags begin together, so that their last trajectories do, or by a time "
         "in s (%(default)s)",
     )  # fmt: skip
-    add_json(parser)
 
 
 def _compare(args: argparse.Namespace) -> int:
@@ -157,7 +155,7 @@ def _compare(args: argparse.Namespace) -> int:
     difference. Bags of runs that began at other times are aligned with --align.
     """
     from rx90_common.bags.comparison import Scope, compare_bags
-    from rx90_common.bags.tables import comparison_json, comparison_text
+    from rx90_common.bags.tables import comparison_text
 
     scope = Scope(
         topics=tuple(dict.fromkeys(args.topics)) if args.topics else None,
@@ -167,7 +165,7 @@ def _compare(args: argparse.Namespace) -> int:
     comparison = compare_bags(
         args.bag_a, args.bag_b, Tolerances(*args.tolerance), scope, _signals(args)
     )
-    print(comparison_json(comparison) if args.json else comparison_text(comparison))
+    print(comparison_text(comparison))
     return int(comparison.verdict)
 
 
