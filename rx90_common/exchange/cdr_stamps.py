@@ -28,4 +28,5 @@ def cdr_stamp_ns(cdr: bytes) -> int:
 def cdr_stamps_ns(messages: NDArray[np.uint8]) -> NDArray[np.int64]:
     """Return the times of equally long little-endian messages, shape (n, length), ns, shape (n,)."""
     stamps = messages[:, ENCAPSULATION:HEAD].copy().view([("sec", "<i4"), ("nanosec", "<u4")])[:, 0]
-    return stamps["sec"].astype(np.int64) * NANOSECONDS + stamps["nanosec"]
+    seconds = stamps["sec"].astype(np.int64)
+    return np.asarray(seconds * NANOSECONDS + stamps["nanosec"])
