@@ -39,6 +39,7 @@ TEST = [
     "pytest-xdist>=3.6,<4",
     "hypothesis>=6.120,<7",
     "jsonschema>=4.20,<5",
+    "mcap>=1.2,<2",
     "xacro>=2.0,<3",
 ]
 
@@ -58,7 +59,6 @@ setup(
         "numba>=0.59,<0.69",
         "pin>=2.7,<4.2",
         "rosbags>=0.11.9,<0.12",
-        "mcap>=1.2,<2",
         "pyarrow>=18,<27",
         "PyYAML>=6.0.1,<7",
         "pydantic>=2.14,<2.15",

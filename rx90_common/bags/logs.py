@@ -19,8 +19,8 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from rx90_common.bags.damage import library_errors, load_arrays
 from rx90_common.bags.joint_series import Int64Array, JointSeries
-from rx90_common.bags.limits import library_errors, load_arrays
 from rx90_common.bags.mapping import DELIMITERS, TIME_UNITS, FieldColumns, LogMapping, mapping_of
 from rx90_common.bags.topics import absolute
 from rx90_common.base.errors import BagError, located
@@ -224,9 +224,9 @@ def _text_columns(path: Path, mapping: LogMapping) -> _Table:
         )
     except pa.ArrowInvalid as error:
         fault = plain(error, 300)
-        for row in torn:
-            fields_there = counted(row.actual_columns, "field")
-            fault = f"{fields_there} in line {numbers[head + row.number - 1]}, others have {width}"
+        if torn:
+            there = counted(torn[0].actual_columns, "field")
+            fault = f"{there} in line {numbers[head + torn[0].number - 1]}, others have {width}"
         raise BagError(f"{fault}; accepted: columns as in the signal map") from error
     if table.num_rows != count:
         raise BagError("a quotation mark without a second one in its line; accepted: pairs of them")

@@ -18,9 +18,9 @@ from typing import Any
 from backports import zstd
 from rosbags.typesys import Stores
 
+from rx90_common.bags.damage import ZSTD_MAGIC, DamagedError, library_errors
 from rx90_common.bags.joint_messages import SeriesBuilder
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.limits import ZSTD_MAGIC, DamagedError, library_errors
 from rx90_common.bags.mapping import LogMapping, is_table
 from rx90_common.bags.storage import ACCEPTED, BagTopic, StorageReader, open_storage, topic_of
 from rx90_common.bags.topics import EFFORT_UNIT, JOINT_STATE, absolute

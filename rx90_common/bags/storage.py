@@ -24,7 +24,7 @@ from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-from rx90_common.bags.limits import ZSTD_MAGIC, DamagedError
+from rx90_common.bags.damage import ZSTD_MAGIC, DamagedError
 from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain

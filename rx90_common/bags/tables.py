@@ -1,9 +1,6 @@
-"""Comparisons and summaries of bags as tables for a person and as JSON for a program."""
+"""Comparisons and summaries of bags as tables."""
 
 from __future__ import annotations
-
-import json
-from dataclasses import asdict
 
 from rx90_common.bags.comparison import BagComparison, TopicComparison, ValueDifference, Verdict
 from rx90_common.bags.summary import BagSummary, TopicSummary
@@ -48,22 +45,6 @@ def comparison_text(comparison: BagComparison) -> str:
     return "\n\n".join([*blocks, verdict])
 
 
-def comparison_json(comparison: BagComparison) -> str:
-    """Return all figures as JSON: stamps in ns, values in rad, rad/s and Nm."""
-    content = {
-        "a": str(comparison.path_a),
-        "b": str(comparison.path_b),
-        "verdict": comparison.verdict.name.lower(),
-        "exit_code": int(comparison.verdict),
-        "shift_ns": comparison.shift_ns,
-        "topics": [
-            asdict(topic) | {"verdict": topic.verdict.name.lower()} for topic in comparison.topics
-        ],
-        "not_compared": list(comparison.skipped),
-    }
-    return json.dumps(content, indent=2, allow_nan=False)
-
-
 def _topic_text(topic: TopicComparison) -> str:
     lines = [f"{plain(topic.topic)}: {_WORDS[topic.verdict]}"]
     if topic.range_ns is not None:
@@ -86,12 +67,6 @@ def _value_row(value: ValueDifference) -> tuple[str, ...]:
         f"{value.beyond}",
         f"{value.not_finite}",
     )
-
-
-def summary_json(summary: BagSummary) -> str:
-    """Return all figures as JSON: times in ns, rates in Hz."""
-    content = asdict(summary) | {"path": str(summary.path), "count": summary.count}
-    return json.dumps(content, indent=2, allow_nan=False)
 
 
 def summary_text(summary: BagSummary) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
 
@@ -58,6 +60,9 @@ TIME_MODE: Final = "time_mode"
 LOCK_STEP: Final = "lock_step"
 FREE_RUNNING: Final = "free_running"
 TIME_MODES: Final = (LOCK_STEP, FREE_RUNNING)
+_TIME_MODE = re.compile(
+    rf"({LOCK_STEP}|{FREE_RUNNING}) base_rate=(\d+) position_rate=(\d+)(?: robot=(.*))?", re.DOTALL
+)
 
 
 def motor_names(motors: int) -> tuple[str, ...]:
@@ -92,18 +97,11 @@ class TimeMode:
         Raises:
             MessageError: if it is none.
         """
-        try:
-            about, named, robot = text.partition(" robot=")
-            mode, base, position = about.split()
-            if (
-                mode in TIME_MODES
-                and base.startswith("base_rate=")
-                and position.startswith("position_rate=")
-            ):
-                rates = Rates(int(base.partition("=")[2]), int(position.partition("=")[2]))
-                return cls(mode, rates, robot if named else None)
-        except (ValueError, ConfigError):
-            pass
+        form = _TIME_MODE.fullmatch(text)
+        if form is not None:
+            mode, base, position, robot = form.groups()
+            with suppress(ValueError, ConfigError):
+                return cls(mode, Rates(int(base), int(position)), robot)
         accepted = (
             f"{', '.join(TIME_MODES)} with rates, as in lock_step base_rate=4000 position_rate=1000"
         )

@@ -19,7 +19,6 @@ from rx90_common.process.interrupts import stop_request
 from rx90_emulator.cli.options import (
     add_force,
     add_joints_argument,
-    add_json,
     add_output,
     add_robot_arguments,
     add_signals_argument,
@@ -146,7 +145,6 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
         help="move the stamps of B: so that both bags begin together, so that their last trajectories do, or by a time "
         "in s (%(default)s)",
     )  # fmt: skip
-    add_json(parser)
 
 
 def _compare(args: argparse.Namespace) -> int:
@@ -157,7 +155,7 @@ def _compare(args: argparse.Namespace) -> int:
     difference. Bags of runs that began at other times are aligned with --align.
     """
     from rx90_common.bags.comparison import Scope, compare_bags
-    from rx90_common.bags.tables import comparison_json, comparison_text
+    from rx90_common.bags.tables import comparison_text
 
     scope = Scope(
         topics=tuple(dict.fromkeys(args.topics)) if args.topics else None,
@@ -167,7 +165,7 @@ def _compare(args: argparse.Namespace) -> int:
     comparison = compare_bags(
         args.bag_a, args.bag_b, Tolerances(*args.tolerance), scope, _signals(args)
     )
-    print(comparison_json(comparison) if args.json else comparison_text(comparison))
+    print(comparison_text(comparison))
     return int(comparison.verdict)
 
 
@@ -295,20 +293,15 @@ def _import(args: argparse.Namespace) -> None:
 def _add_info(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", **_BAG)
     _add_signals(parser)
-    add_json(parser)
 
 
 def _info(options: argparse.Namespace) -> None:
     """Summarise a bag: topics, counts, rates, times, and gaps between stamps."""
     from rx90_common.bags.summary import summarise
-    from rx90_common.bags.tables import summary_json, summary_text
+    from rx90_common.bags.tables import summary_text
 
     signals = _signals(options)
-    summary = summarise(options.bag, signals)
-    if options.json:
-        print(summary_json(summary))
-        return
-    print(summary_text(summary))
+    print(summary_text(summarise(options.bag, signals)))
     _say_cut(options.bag, signals)
 
 

@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from rx90_common.bags.limits import load_arrays
+from rx90_common.bags.damage import load_arrays
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, ConfigError, TrajectoryError, warn_caller
 from rx90_common.base.models import (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from pathlib import Path
@@ -199,17 +198,14 @@ def test_time_that_goes_back(tmp_path: Path) -> None:
     assert (topic.backward, topic.repeated, topic.first_ns, topic.last_ns) == (1, 1, 0, 30)
 
 
-def test_table_and_json_agree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The printed table and the JSON carry the same counts and times; a repeated time is reported."""
+def test_the_table_has_counts_and_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A topic has a row with type, count, rate, first and last time; a repeated time is reported."""
     write_joint_states(tmp_path / "bag", [series(11)])
     assert run("rx90 bag", ["info", str(tmp_path / "bag")]) == 0
     out = capsys.readouterr().out
     expected = ["/joint_states", "sensor_msgs/msg/JointState", "11", "1000.000", "0.000000", "0.010000"]
     assert out.splitlines()[2].split() == expected
     assert "repeated time" not in out
-    assert run("rx90 bag", ["info", "--json", str(tmp_path / "bag")]) == 0
-    content = json.loads(capsys.readouterr().out)
-    assert (content["count"], content["topics"][0]["last_ns"]) == (11, 10_000_000)
     write_joint_states(tmp_path / "twice", [series(11).take([0, 1, 1, 2])])
     assert run("rx90 bag", ["info", str(tmp_path / "twice")]) == 0
     assert "1 repeated time" in capsys.readouterr().out

@@ -52,20 +52,19 @@ def copy_sources(folder: Path) -> Path:
 def test_copies_of_the_same_sources_share_compiled_code(tmp_path: Path) -> None:
     """A second clone compiles nothing, whatever its models; another processor or function that a kernel calls does.
 
-    That holds for kernels and for the codec, whose functions are compiled with the first codec, not by an import. A
+    That holds for kernels and for the middleware's callback, which is compiled at its first use, not by an import. A
     program says once that it compiles, whatever else is in the cache; with its kernels there, nothing.
     """
     kernels = "from rx90_common.kernels.elementary import {0}\nprint({0}(0.0))\n"
     exponential, other = kernels.format("exponential_of"), kernels.format("exponential_less_one_of")
-    codec = "from rx90_common.exchange import arrivals, cdr\nprint('imported', file=sys.stderr)\n"
-    codec += "cdr.JointStateCodec(['joint'])\n"
+    callback = "from rx90_common.exchange import arrivals\nprint('imported', file=sys.stderr)\narrivals._count()\n"
     one, two = copy_sources(tmp_path / "one"), copy_sources(tmp_path / "two")
-    out, err = said(start(f"import sys\n{ANNOUNCE}{codec}{exponential}", one))
+    out, err = said(start(f"import sys\n{ANNOUNCE}{callback}{exponential}", one))
     assert out == "1.0\n"
     assert re.fullmatch(f"imported\n{ANNOUNCED}", err)
     with (two / "rx90_common/base/models.py").open("a", encoding="utf-8") as declarations:
         declarations.write("# Changed.\n")
-    there = f"import sys\n{ANNOUNCE}{codec}{exponential}print('computed', file=sys.stderr)\n{other}"
+    there = f"import sys\n{ANNOUNCE}{callback}{exponential}print('computed', file=sys.stderr)\n{other}"
     assert re.fullmatch(f"imported\ncomputed\n{ANNOUNCED}", said(start(there, two))[1])
     assert re.fullmatch(ANNOUNCED, said(start(ANNOUNCE + exponential, two, NUMBA_CPU_NAME="generic"))[1])
     called = two / "rx90_common/kernels/elementary.py"

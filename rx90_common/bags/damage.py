@@ -1,4 +1,4 @@
-"""Errors of the libraries that read files as one kind, and the files that only these libraries look into."""
+"""Errors of the libraries that read files, as one kind."""
 
 from __future__ import annotations
 
