@@ -134,7 +134,7 @@ class BenchNode:
         )
         self._timer = node.create_timer(_ALIVE_PERIOD, self._link.alive)
         self._diagnostics = Diagnostics(node, self._collect)
-        jobs = {
+        jobs: dict[str, Callable[[], None]] = {
             "arm": partial(self._submit, RigClient.arm),
             "clear": partial(self._submit, RigClient.clear),
             "run_ramp": partial(self._submit, self._ramp),
