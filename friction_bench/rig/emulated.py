@@ -39,13 +39,13 @@ def firmware_directory() -> Path:
 
 
 def _compile_core(library: Path, figures: Mapping[str, int]) -> None:
-    compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
+    compiler = shutil.which("cc") or shutil.which("gcc")
     if not compiler:
         raise RigError(
             "the emulated rig runs the real firmware and needs a C compiler: none found as cc or gcc"
         )
     sources = firmware_directory()
-    command = [*compiler.split(), "-std=c11", "-O2", "-fPIC", "-shared", f"-I{sources / 'core'}"]
+    command = [compiler, "-std=c11", "-O2", "-fPIC", "-shared", f"-I{sources / 'core'}"]
     command += [f"-D{name}={value}u" for name, value in figures.items()]
     command += [str(sources / name) for name in _SOURCES] + ["-o", str(library)]
     done = subprocess.run(
@@ -146,7 +146,6 @@ class EmulatedRig:
     def __init__(self, rig: Rig, seed: int = 0, board: NativeBoard | None = None) -> None:
         self.plant = RigPlant(rig, seed)
         self.rig = rig
-        self._off_time = self.plant.parameters.amplifier.off_time
         self.board = board or NativeBoard(native_library(rig.firmware_figures), rig.baud)
         self.time = 0.0
         self._edges = 0
@@ -162,8 +161,9 @@ class EmulatedRig:
             if self._on and not was_on:
                 self.plant.new_ramp()
             command = self.rig.commanded_torque(self.board.dac) if self._on else 0.0
-            if self._off_time and self.board.switched_on():
-                command *= 1.0 - self._off_time / SLICE
+            off_time = self.plant.parameters.amplifier.off_time
+            if off_time and self.board.switched_on():
+                command *= 1.0 - off_time / SLICE
             self._edges = self.plant.advance(command)
             self._adc = min(
                 CODES, round(self.plant.current_reading() / self.rig.torque.adc_full_scale * CODES)

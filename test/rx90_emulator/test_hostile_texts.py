@@ -100,15 +100,6 @@ def _identified(_arm: Arm, page: Path) -> None:
     (page.parent / "found" / "report.html").rename(page)
 
 
-def _slid(arm: Arm, page: Path) -> None:
-    folder, setup, _ = arm
-    series = page.parent / "series"
-    rx.record_on_engine(setup, rx.plan_experiments(setup, groups=setup.robot.joint_names[2:3], quick=True), series)
-    found = page.parent / "friction.yaml"
-    assert run("rx90 identify sliding", [str(series), "--robot", str(folder), "--output", str(found)]) in (0, 1)
-    found.with_suffix(".html").rename(page)
-
-
 def _held_against(arm: Arm, page: Path) -> None:
     folder, _, bag = arm
     words = [str(folder / "friction.yaml"), str(bag), "--robot", str(folder)]
@@ -144,7 +135,6 @@ def _drawn(_arm: Arm, page: Path) -> None:
         (_swept, 0),
         (_checked, 6),
         (_identified, 2),
-        (_slid, 6),
         (_held_against, 6),
         (_ramped, 0),
         (_drawn, 6),
