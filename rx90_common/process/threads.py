@@ -1,35 +1,9 @@
-"""The threads of this process: their call stacks, and their priority."""
+"""The priority of this process."""
 
 from __future__ import annotations
 
 import os
-import sys
-import threading
-import traceback
-from pathlib import Path, PurePath
-
-
-def calls_of(thread: threading.Thread) -> list[traceback.FrameSummary]:
-    """Return the call stack of a thread, the innermost call last; empty before its start and after its end."""
-    frame = sys._current_frames().get(thread.ident or 0)
-    return [] if frame is None else list(traceback.extract_stack(frame))
-
-
-def place_of(call: traceback.FrameSummary) -> str:
-    """Return the file's name and the line that a call is at."""
-    return f"{PurePath(call.filename).name}:{call.lineno}"
-
-
-def where_threads_are() -> list[str]:
-    """Return a line for each thread but the calling one: its name, and its call stack, the innermost call last."""
-    others = (
-        thread for thread in threading.enumerate() if thread is not threading.current_thread()
-    )
-    found = [(thread.name, calls) for thread in others if (calls := calls_of(thread))]
-    return [
-        f"{name}: " + " > ".join(f"{place_of(one)} {one.name}" for one in calls)
-        for name, calls in found
-    ]
+from pathlib import Path
 
 
 def be_nicer(least: int) -> None:

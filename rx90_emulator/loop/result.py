@@ -17,6 +17,7 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, check_type
 from rx90_common.base.quoting import plain
+from rx90_common.base.rates import TEMPERATURE_HZ
 from rx90_common.description.coupling import ArmSize
 from rx90_common.exchange.topics import (
     CORRECTION,
@@ -245,7 +246,7 @@ def save_arrays(run: RunResult, file: Path | str) -> None:
     }
     if len(run.slow.temperatures):
         arrays["temperature time [s]"] = (
-            np.arange(len(run.slow.temperatures)) / run.setup.rates.temperature_hz
+            np.arange(len(run.slow.temperatures)) / TEMPERATURE_HZ
         )
         arrays["temperature [degC]"] = run.slow.temperatures
         arrays["winding temperature [degC]"] = run.slow.windings

@@ -20,8 +20,8 @@ from rx90_common.base.errors import ConfigError, IdentificationError, Trajectory
 from rx90_common.base.quoting import counted, listed
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.drives import load_drives
+from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.description.urdf import UrdfFile
 from rx90_common.exchange.topics import MOTOR_STATES, motor_names
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.options import MeasuredLayout
@@ -70,7 +70,7 @@ def simulated_setup(files: RobotFiles) -> Setup:
         if not path.is_file():
             raise ConfigError(f"{path.parent}: no {path.name}; {_OTHER_ARMS}")
     with suppress(ConfigError):  # Setup.load names the fault
-        joints = tuple(UrdfFile(files.urdf).limits)
+        joints = load_robot(files.urdf).joint_names
         turning = load_drives(files.drives).turning
         if len(joints) != len(turning.turns):
             counts = f"{counted(len(joints), 'movable joint')}, and {files.drives} is of {len(turning.turns)}"

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
@@ -18,11 +18,11 @@ from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange.client_node import ClientNode, spoken
 from rx90_common.exchange.topics import JOINT_COMMANDS, MEASURED_JOINT_STATES
 
-_NAME = "rx90_sim"
+_PAUSE = "rx90_sim/pause"
 
 
 class SimulationClient:
-    """The services of a simulation node; each raises ExchangeError if the request is not carried out.
+    """Time of a simulation node.
 
     Attributes:
         time: newest simulated time, s, updated by `ClientNode.spin`.
@@ -37,20 +37,13 @@ class SimulationClient:
         self.time = message_time_ns(message.clock) / NANOSECONDS
 
     def pause(self, paused: bool) -> None:
-        """Stop time, or let it run."""
-        self._ask(SetBool, "pause", SetBool.Request(data=paused))
+        """Stop time, or let it run.
 
-    def step(self) -> None:
-        """Pause, and run `step_ticks` ticks, a parameter of the simulation."""
-        self._ask(Trigger, "step", Trigger.Request())
-
-    def reset(self) -> None:
-        """Begin again at tick 0."""
-        self._ask(Trigger, "reset", Trigger.Request())
-
-    def _ask(self, kind: Any, name: str, request: Any) -> None:
-        service = f"{_NAME}/{name}"
-        spoken(service)(self._client.call(kind, service, request))
+        Raises:
+            ExchangeError: if the node does not do it.
+        """
+        request = SetBool.Request(data=paused)
+        spoken(_PAUSE)(self._client.call(SetBool, _PAUSE, request))
 
 
 _DEPTH = 10
@@ -79,29 +72,23 @@ class EffortController:
     ):
         self._controller = controller
         self._names = names
-        self._received: list[str] = []
-        self._order = np.arange(len(names))
         self.time: float | None = None
         self._commands = node.create_publisher(JointState, JOINT_COMMANDS, _DEPTH)
         self._states = node.create_subscription(
             JointState, MEASURED_JOINT_STATES, self._answer, _DEPTH
         )
 
-    def _find_order(self, received: list[str]) -> None:
+    def _answer(self, states: Any) -> None:
+        received = states.name
         if sorted(received) != sorted(self._names):
             raise ExchangeError(
                 f"{self._states.topic_name} has {', '.join(received)}; accepted: {', '.join(self._names)}"
             )
-        self._received = list(received)
-        self._order = np.array([received.index(name) for name in self._names])
-
-    def _answer(self, states: Any) -> None:
-        if states.name != self._received:  # the order is found once: this runs in each tick
-            self._find_order(states.name)
+        order = [received.index(name) for name in self._names]
         stamp = states.header.stamp
         self.time = stamp.sec + stamp.nanosec * 1e-9
-        position = np.array(states.position)[self._order]
-        velocity = np.array(states.velocity)[self._order]
+        position = np.array(states.position)[order]
+        velocity = np.array(states.velocity)[order]
         effort = self._controller(position, velocity, self.time)
         command = JointState(name=self._names)
         command.header.stamp = stamp
