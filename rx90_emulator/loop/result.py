@@ -245,9 +245,7 @@ def save_arrays(run: RunResult, file: Path | str) -> None:
         "detail time [s]": run.times[::DETAIL_DECIMATION],
     }
     if len(run.slow.temperatures):
-        arrays["temperature time [s]"] = (
-            np.arange(len(run.slow.temperatures)) / TEMPERATURE_HZ
-        )
+        arrays["temperature time [s]"] = np.arange(len(run.slow.temperatures)) / TEMPERATURE_HZ
         arrays["temperature [degC]"] = run.slow.temperatures
         arrays["winding temperature [degC]"] = run.slow.windings
     for topic, series in run.series.items():
