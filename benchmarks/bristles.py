@@ -18,10 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.report import PLOT, arguments, in_turns, merge, print_table, timed
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, record_type
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.compiled_elements import (
-    BRISTLE_STATE_DTYPE,
     bristles_dtype,
     bristles_energy,
     bristles_step,
@@ -32,12 +31,16 @@ from rx90_common.friction.parts.bristles import (
     BristlesPart,
     ElastoPlastic,
     MaxwellSlip,
+    bristles_state_dtype,
     fill_bristles,
 )
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import lane, load
 from rx90_common.report.picture import WIDTH, picture
 from rx90_common.report.style import COLOURS, GREY
+
+_STATE = record_type(bristles=bristles_state_dtype(1), z=1)
+"""Deflection, rad, of one element, and the further state of its bristles."""
 
 
 class Motion(NamedTuple):
@@ -51,7 +54,7 @@ class Motion(NamedTuple):
 
 def _records(element: FrictionElement) -> tuple[Any, Any, Any]:
     constants = np.zeros(1, bristles_dtype(1))
-    state = np.zeros(1, BRISTLE_STATE_DTYPE)
+    state = np.zeros(1, _STATE)
     fill_bristles(constants[0], [element.bristles])
     return element_arrays((element,)), constants, state
 

@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from rx90_common.arm_dynamics import mass_and_bias
 from rx90_common.base.arrays import Array
-from rx90_common.description.coupling import RX_WRIST, to_joint_torque
+from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.compiled_elements import element_arrays, one_element
 from rx90_common.friction.parts.part import LINEAR_SPEED
@@ -131,19 +131,16 @@ class StiffPlant:
         """Take over the state of `plant`, whose encoders and observers go on to be read."""
         state = plant.state[0]
         self._plant, self._tolerance = plant, tolerance
-        self._gear, self._peak, self._period = (
-            setup.drives.gear,
-            setup.drives.peak_torque,
-            setup.rates.period,
-        )
+        self._drives, self._period = setup.drives, setup.rates.period
         self._friction = element_arrays(setup.friction.elements)
-        self._drive = np.empty(6)
         self.y: Array = np.concatenate([state["q"], state["v"], state["z"]])
 
     def step(self, command: Array) -> None:
         """Hold motor torques, Nm, shape (6,), for one tick and sample the drives."""
         plant = self._plant
-        to_joint_torque(self._gear, np.clip(command, -self._peak, self._peak), self._drive)
+        peak = self._drives.peak_torque
+        motors = self._drives.gear * np.clip(command, -peak, peak)
+        self._drive = self._drives.turning.turns.T @ motors
         arguments = (plant.constants["arm"], plant.state["body"], self._friction, self._drive)
         tolerances = {
             "rtol": self._tolerance,

@@ -30,14 +30,7 @@ def rigid_torque(
     data = model.createData()
     rows = zip(configurations(model, position), velocity, acceleration, strict=True)
     links = np.array([pin.rnea(model, data, *row) for row in rows]).reshape(position.shape)
-    return links + rotor_and_spring_torque(rotor, spring, position, acceleration)
-
-
-def rotor_and_spring_torque(
-    rotor: Array, spring: Array, position: Array, acceleration: Array
-) -> Array:
-    """Return the share of rotors and springs in `rigid_torque`, arguments as there, Nm, shape (m, n)."""
-    return np.asarray(acceleration @ rotor.T + spring * np.sin(position))
+    return np.asarray(links + (acceleration @ rotor.T + spring * np.sin(position)))
 
 
 def configurations(model: Any, position: Array) -> Array:

@@ -76,9 +76,10 @@ def fill_cogging(record: Any, cogging: Cogging, gear: Array) -> None:
     record["terms"] = terms
     record["harmonic"][:terms] = cogging.harmonic
     if terms:
-        sine, cosine = sines_cosines(np.array(cogging.phase))
-        record["cosine"][:terms] = gear * np.array(cogging.amplitude) * cosine
-        record["sine"][:terms] = gear * np.array(cogging.amplitude) * sine
+        amplitude = np.array(cogging.amplitude)
+        sine, cosine = sines_cosines(cogging.phase or np.zeros_like(amplitude))
+        record["cosine"][:terms] = gear * amplitude * cosine
+        record["sine"][:terms] = gear * amplitude * sine
 
 
 @inlined
@@ -139,7 +140,7 @@ def winding_dtype(motors: int) -> np.dtype[np.void]:
 def fill_windings(record: Any, windings: Windings, torque_constant: Array) -> None:
     """Write the constants."""
     record["used"] = windings.used
-    record["initial"] = windings.initial
+    record["initial"] = windings.start
     if windings.used:
         capacity = np.array(windings.heat_capacity)
         record["heat"] = windings.resistance / (capacity * torque_constant * torque_constant)

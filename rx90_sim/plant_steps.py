@@ -35,6 +35,7 @@ the mode: then the way is within 1 % of a stiff solver's, for any r.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import Any, Final, NamedTuple
@@ -74,8 +75,6 @@ class _Rows(NamedTuple):
     """The loads on the arm: friction elements, brakes, end stops, gears; each a stiffness and a damper.
 
     Attributes:
-        names: of stiffness and damping of each, for messages.
-        named_damping: value, Nm s/rad, of the parameter that the damping's name refers to.
         stiffness: Nm/rad.
         damping: the least at rest, Nm s/rad.
         most_damping: the most up to full speed, Nm s/rad.
@@ -84,8 +83,6 @@ class _Rows(NamedTuple):
         elements: number of friction elements; brakes, stops and gears follow them.
     """
 
-    names: Sequence[tuple[str, str]]
-    named_damping: Array
     stiffness: Array
     damping: Array
     most_damping: Array
@@ -96,7 +93,7 @@ class _Rows(NamedTuple):
     @property
     def held(self) -> int:
         """Return how many are no gears."""
-        return self.elements + 2 * (len(self.names) - self.elements) // 3
+        return self.elements + 2 * (len(self.stiffness) - self.elements) // 3
 
 
 class _Load(NamedTuple):
@@ -156,12 +153,13 @@ def plant_steps(
 
     if bear(requested or 1):
         return requested or 1
-    needed = _first(bear)
+    # all bounds ease with the step
+    needed = 1 + bisect_left(range(1, MAX_STEPS + 1), True, key=bear)
     most = requested or MAX_AUTOMATIC_STEPS
-    if needed is not None and needed <= most:
+    if needed <= most:
         return needed
     worst = max(_loads(rows, gram, period / most), key=lambda load: load.over)
-    raise ConfigError(_refusal(rows, gram, worst, most, needed))
+    raise ConfigError(_refusal(friction.names, rows, gram, worst, most, needed))
 
 
 def _ratio(element: FrictionElement) -> float:
@@ -170,18 +168,6 @@ def _ratio(element: FrictionElement) -> float:
         return element.curve.ratio
     torques = [(torque.positive, torque.negative) for torque in (element.tau_c, element.tau_s)]
     return max(max(both) / min(both) for both in torques)
-
-
-def _first(bear: Any) -> int | None:
-    """Return the least number of steps in a tick that will do, None if there is none: all bounds ease with the step."""
-    if not bear(MAX_STEPS):
-        return None
-    low = 1
-    high = MAX_STEPS
-    while low < high:
-        middle = (low + high) // 2
-        low, high = (low, middle) if bear(middle) else (middle + 1, high)
-    return low
 
 
 def _rows(drives: DriveParameters, friction: FrictionSet, max_velocity: Array) -> _Rows:
@@ -194,18 +180,7 @@ def _rows(drives: DriveParameters, friction: FrictionSet, max_velocity: Array) -
     elasticity = drives.elasticity
     gears = np.where(elasticity.elastic, elasticity.stiffness, 0.0)
     others = np.concatenate([drives.brake.damping, drives.end_stops.damping, elasticity.damping])
-    names = [
-        (f"friction.{name}.c0", f"friction.{name}.{'c1' if by_c1 else 'c2'}")
-        for name, by_c1 in zip(friction.names, c1 >= 0.5 * most, strict=True)
-    ]
-    for block in ("brake_", "stop_", "elasticity."):
-        names += [
-            (f"drives.{block}stiffness[{i}]", f"drives.{block}damping[{i}]")
-            for i in range(len(max_velocity))
-        ]
     return _Rows(
-        names,
-        np.concatenate([np.where(c1 >= 0.5 * most, c1, most), others]),
         np.concatenate(
             [
                 [e.c0 for e in friction.elements],
@@ -331,26 +306,30 @@ def _masses(arms: Record, bodies: Record, poses: Array, masses: Array) -> None:
         masses[k, :n, :n] = mass
 
 
-def _refusal(rows: _Rows, gram: Array, load: _Load, most: int, needed: int | None) -> str:
-    """Return the message for a load that needs more than `most` steps in a tick."""
+def _refusal(
+    names: Sequence[str], rows: _Rows, gram: Array, load: _Load, most: int, needed: int
+) -> str:
+    """Return the message for a load that needs more than `most` steps in a tick; `names` are the elements'."""
     row = load.row
-    unit = "Nm s/rad" if load.damps else "Nm/rad"
-    if not load.damps:
-        name = rows.names[row][0]
-        size = rows.stiffness[row]
-    elif load.weak:
-        name = rows.names[row][0].removesuffix("c0") + "c1"
+    kind = "damping" if load.damps else "stiffness"
+    size = (rows.most_damping if load.damps else rows.stiffness)[row]
+    cause = ""
+    if row >= rows.elements:
+        block, joint = divmod(row - rows.elements, (len(rows.stiffness) - rows.elements) // 3)
+        name = f"drives.{('brake_', 'stop_', 'elasticity.')[block]}{kind}[{joint}]"
+    elif not load.damps:
+        name = f"friction.{names[row]}.c0"
+    elif load.weak or rows.bristle_damping[row] >= 0.5 * size:
+        name = f"friction.{names[row]}.c1"
         size = rows.bristle_damping[row]
     else:
-        name = rows.names[row][1]
-        size = rows.named_damping[row]
-    cause = ""
+        name = f"friction.{names[row]}.c2"
+        cause = " at its steepest"
     if load.weak:
         cause = f" with torques {rows.ratios[row]:.4g} times apart in both directions"
-    elif name.endswith("c2"):
-        cause = " at its steepest"
-    more = "" if needed is None else f", or substeps {needed}"
+    more = "" if needed > MAX_STEPS else f", or substeps {needed}"
     return (
-        f"{name} is {size:.6g} {unit}{cause}, {load.over:.3g} times what {counted(most, 'plant step')} in a tick "
-        f"can bear on {1.0 / gram[row, row]:.3g} kg m^2; accepted: up to about {size / load.over:.3g}{more}"
+        f"{name} is {size:.6g} {'Nm s/rad' if load.damps else 'Nm/rad'}{cause}, {load.over:.3g} times what "
+        f"{counted(most, 'plant step')} in a tick can bear on {1.0 / gram[row, row]:.3g} kg m^2; accepted: up to about "
+        f"{size / load.over:.3g}{more}"
     )

@@ -588,14 +588,16 @@ def _meant(schema: JsonSchema, root: JsonSchema, value: Any) -> JsonSchema:
     return likest | {key: schema[key] for key in _OF_ALL_KINDS if key in schema}
 
 
-def _likeness(schema: JsonSchema, value: Any) -> tuple[bool, bool, int]:
-    """Return whether a value can be of a kind of mapping, by texts that must be there, and how many keys it shares."""
+def _likeness(schema: JsonSchema, value: Any) -> tuple[bool, int]:
+    """Return whether a kind is a mapping, and how many keys a mapping shares, but for texts that would be others."""
     if not isinstance(value, Mapping):
-        return False, False, 0
+        return False, 0
     properties = schema.get("properties", {})
-    known = value.keys() & properties.keys()
-    fits = all(value[key] == properties[key].get("const", value[key]) for key in known)
-    return schema.get("type") == "object", fits, len(known)
+    shared = sum(
+        key in properties and properties[key].get("const", inner) == inner
+        for key, inner in value.items()
+    )
+    return schema.get("type") == "object", shared
 
 
 def _inner(schema: JsonSchema, key: str | int) -> JsonSchema:

@@ -12,7 +12,7 @@ import reprlib
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from itertools import islice
-from typing import Any, Final
+from typing import Final
 from unicodedata import category
 
 LIMIT: Final = 120
@@ -41,7 +41,7 @@ def quoted(value: object, limit: int = LIMIT) -> str:
             return repr(text)
         head, tail = _ends(limit)
         return f"{text[:head]!r}{_ELLIPSIS}{text[len(text) - tail :]!r} ({len(text):,} {unit})"
-    return plain(_Repr(limit).repr(value), limit)
+    return plain(_REPR.repr(value), limit)
 
 
 def plain(text: object, limit: int = LIMIT) -> str:
@@ -112,23 +112,20 @@ def _escaped(text: str) -> str:
 class _Repr(reprlib.Repr):
     """Reads no more of an object than is shown; a long integer, which Python does not print, is shown by its size."""
 
-    def __init__(self, limit: int) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.maxlevel = 4
-        self.maxtuple = self.maxlist = self.maxarray = self.maxset = self.maxfrozenset = (
-            self.maxdeque
-        ) = 12
+        self.maxtuple = 12
+        self.maxlist = 12
         self.maxdict = 8
-        self.maxstring = self.maxother = limit
+        self.maxstring = LIMIT
+        self.maxother = LIMIT
 
     def repr_int(self, x: int, level: int) -> str:  # noqa: ARG002 - the interface of Repr
         digits = int(abs(x).bit_length() * math.log10(2.0)) + 1
         return repr(x) if digits <= _LONGEST_INTEGER else f"an integer of some {digits:,} digits"
 
-    def repr_str(self, x: Any, level: int) -> str:  # noqa: ARG002
-        return quoted(x, self.maxstring)
 
-    repr_bytes = repr_str
+_REPR: Final = _Repr()
 
 
 def breaks_a_line(text: str) -> bool:

@@ -8,6 +8,8 @@ from typing import Any
 from rx90_common.base.errors import ConfigError
 
 NANOSECONDS = 1_000_000_000
+TEMPERATURE_HZ = 1
+"""Rate at which results have the temperatures of joints and windings, Hz."""
 
 
 def message_time_ns(time: Any) -> int:
@@ -37,12 +39,10 @@ class Rates:
     Attributes:
         base_hz: velocity loop, current loop and plant tick, Hz (4 kHz in the CS7B).
         position_hz: position loop and set-points, Hz (1 kHz in the CS7B).
-        temperature_hz: rate at which results have the temperatures of joints and windings, Hz.
     """
 
     base_hz: int = 4000
     position_hz: int = 1000
-    temperature_hz: int = 1
 
     def __post_init__(self) -> None:
         if self.base_hz <= 0 or NANOSECONDS % self.base_hz:
@@ -51,7 +51,6 @@ class Rates:
                 "number of nanoseconds, such as 2000, 4000, 8000 or 10000"
             )
         ticks_per("position_rate", self.base_hz, self.position_hz)
-        ticks_per("temperature_hz", self.base_hz, self.temperature_hz)
 
     @property
     def period(self) -> float:
@@ -71,7 +70,7 @@ class Rates:
     @property
     def temperature_ticks(self) -> int:
         """Return the base ticks from one row of temperatures to the next."""
-        return self.base_hz // self.temperature_hz
+        return self.base_hz // TEMPERATURE_HZ
 
     @property
     def position_period(self) -> float:

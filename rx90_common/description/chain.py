@@ -5,6 +5,8 @@ Pinocchio gives the same numbers to rounding, but the last bits differ between i
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +21,7 @@ from rx90_common.description.rotations import (
     rpy_rotation,
     transposed,
 )
-from rx90_common.description.urdf import UrdfFile
+from rx90_common.description.urdf import LinkBody, bodies, placements
 
 _GRAVITY = (0.0, 0.0, -9.81)
 
@@ -71,28 +73,28 @@ class _Body(NamedTuple):
     joints: int
 
 
-def rigid_chain(file: UrdfFile, tcp_link: str) -> RigidChain:
-    """Return the chain of a checked URDF; its tool centre point is the frame of the link `tcp_link`."""
-    frames = {file.base_link: _Frame(np.zeros(3), np.eye(3), 0)}
-    joints = len(file.limits)
-    position = np.zeros((joints, 3))
-    axis = np.zeros((joints, 3))
-    for joint in file.placements():
+def rigid_chain(root: ET.Element, names: Sequence[str], tcp_link: str) -> RigidChain:
+    """Return the chain of a URDF's moving joints; its tool centre point is the frame of the link `tcp_link`."""
+    places = placements(root)
+    frames = {places[0].parent: _Frame(np.zeros(3), np.eye(3), 0)}
+    position = np.zeros((len(names), 3))
+    axis = np.zeros((len(names), 3))
+    for joint in places:
         before = frames[joint.parent]
         place = before.position + rotated(before.rotation, np.array(joint.xyz))
         turn = product(before.rotation, rpy_rotation(joint.rpy))
         index = before.joints
-        if joint.name in file.limits:
+        if joint.name in names:
             direction = rotated(turn, np.array(joint.axis))
             position[index] = place
             axis[index] = direction / length(direction)
             index += 1
         frames[joint.child] = _Frame(place, turn, index)
-    bodies = [
-        _body(frames[body.link], body.mass, body.xyz, body.rpy, body.inertia)
-        for body in file.bodies()
+    solids = [_body(frames[body.link], body) for body in bodies(root)]
+    links = [
+        _together([body for body in solids if body.joints == number])
+        for number in range(1, len(names) + 1)
     ]
-    links = [_together([body for body in bodies if body.joints == i + 1]) for i in range(joints)]
     tcp = frames[tcp_link]
     return RigidChain(
         origin=np.diff(position, axis=0, prepend=np.zeros((1, 3))),
@@ -106,20 +108,15 @@ def rigid_chain(file: UrdfFile, tcp_link: str) -> RigidChain:
     )
 
 
-def _body(
-    frame: _Frame,
-    mass: float,
-    xyz: tuple[float, ...],
-    rpy: tuple[float, ...],
-    inertia: tuple[float, ...],
-) -> _Body:
-    xx, yy, zz, xy, xz, yz = inertia
-    turn = product(frame.rotation, rpy_rotation(rpy))
-    tensor = product(
-        product(turn, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])), transposed(turn)
-    )
+def _body(frame: _Frame, body: LinkBody) -> _Body:
+    xx, yy, zz, xy, xz, yz = body.inertia
+    turn = product(frame.rotation, rpy_rotation(body.rpy))
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return _Body(
-        mass, frame.position + rotated(frame.rotation, np.array(xyz)), tensor, frame.joints
+        body.mass,
+        frame.position + rotated(frame.rotation, np.array(body.xyz)),
+        product(product(turn, tensor), transposed(turn)),
+        frame.joints,
     )
 
 

@@ -26,7 +26,7 @@ from numba.core import types
 from rx90_common.base.arrays import MAX_JOINTS, Array, record_type
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import counted, listed
-from rx90_common.kernels.compiled import by_type, inlined, kernel
+from rx90_common.kernels.compiled import by_type, inlined
 from rx90_common.kernels.lanes import Lanes, append, first, fma, lane, load, size, store
 
 MAX_ELEMENTS = 8
@@ -246,15 +246,6 @@ ratios: Callable[[Any], Array] = by_gear(lambda gear: gear, lambda gear: gear.ra
 """Return the gear ratios of the motors, shape (n,)."""
 
 
-@kernel
-def to_motor(gear: Any, joint: Array, motor: Array) -> None:
-    """Write motor positions (or velocities) for joint positions (or velocities), all shape (n,).
-
-    Here and below `gear` is declared by `gear_type`; outside of records it is an array, for the RX family's wrist.
-    """
-    _to_motor(gear, joint, motor)
-
-
 def _to_motor_of_wrist(gear: Array, joint: Array, motor: Array) -> None:
     for i in range(5):
         motor[i] = gear[i] * joint[i]
@@ -265,13 +256,11 @@ def _to_motor_of_matrices(gear: Any, joint: Array, motor: Array) -> None:
     store(motor, load(gear.ratio, size(gear.ratio)) * times(gear.motor_columns, joint))
 
 
-_to_motor = by_gear(_to_motor_of_wrist, _to_motor_of_matrices)
+to_motor = by_gear(_to_motor_of_wrist, _to_motor_of_matrices)
+"""Write motor positions (or velocities) for joint positions (or velocities), all shape (n,).
 
-
-@kernel
-def to_joint(gear: Any, motor: Array, joint: Array) -> None:
-    """Write joint positions (or velocities) for motor positions (or velocities), all shape (n,)."""
-    _to_joint(gear, motor, joint)
+Here and below `gear` is declared by `gear_type`; outside of records it is an array, for the RX family's wrist.
+"""
 
 
 def _to_joint_of_wrist(gear: Array, motor: Array, joint: Array) -> None:
@@ -285,13 +274,8 @@ def _to_joint_of_matrices(gear: Any, motor: Array, joint: Array) -> None:
     store(joint, times_lanes(gear.joint_columns, at_joints))
 
 
-_to_joint = by_gear(_to_joint_of_wrist, _to_joint_of_matrices)
-
-
-@kernel
-def to_joint_torque(gear: Any, motor: Array, joint: Array) -> None:
-    """Write the joint torques that motor torques make, all shape (n,), Nm."""
-    _to_joint_torque(gear, motor, joint)
+to_joint = by_gear(_to_joint_of_wrist, _to_joint_of_matrices)
+"""Write joint positions (or velocities) for motor positions (or velocities), all shape (n,)."""
 
 
 def _to_joint_torque_of_wrist(gear: Array, motor: Array, joint: Array) -> None:
@@ -307,13 +291,8 @@ def _to_joint_torque_of_matrices(gear: Any, motor: Array, joint: Array) -> None:
     )
 
 
-_to_joint_torque = by_gear(_to_joint_torque_of_wrist, _to_joint_torque_of_matrices)
-
-
-@kernel
-def to_motor_torque(gear: Any, joint: Array, motor: Array) -> None:
-    """Write the motor torques that make joint torques, all shape (n,), Nm."""
-    _to_motor_torque(gear, joint, motor)
+to_joint_torque = by_gear(_to_joint_torque_of_wrist, _to_joint_torque_of_matrices)
+"""Write the joint torques that motor torques make, all shape (n,), Nm."""
 
 
 def _to_motor_torque_of_wrist(gear: Array, joint: Array, motor: Array) -> None:
@@ -326,7 +305,8 @@ def _to_motor_torque_of_matrices(gear: Any, joint: Array, motor: Array) -> None:
     store(motor, times(gear.joint, joint) / load(gear.ratio, size(gear.ratio)))
 
 
-_to_motor_torque = by_gear(_to_motor_torque_of_wrist, _to_motor_torque_of_matrices)
+to_motor_torque = by_gear(_to_motor_torque_of_wrist, _to_motor_torque_of_matrices)
+"""Write the motor torques that make joint torques, all shape (n,), Nm."""
 
 
 def _add_drive_torques_of_wrist(_gear: Array, drive: Array, torque: Array) -> None:

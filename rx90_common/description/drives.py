@@ -6,7 +6,7 @@ Elasticity, cogging, windings and current sensors are blocks of their own; parts
 from __future__ import annotations
 
 import math
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
@@ -25,6 +25,7 @@ from rx90_common.base.models import (
     AnyModel,
     FileModel,
     NotNegative,
+    NotZero,
     Positive,
     RowOf,
     as_refusal,
@@ -48,7 +49,8 @@ _MAX_PLAY = 0.5
 
 _Rows: TypeAlias = Annotated[tuple[RowOf[float], ...], Field(strict=False)]
 _Waves: TypeAlias = Annotated[
-    tuple[Annotated[float, Field(gt=0.0, le=1000.0)], ...], Field(strict=False)
+    tuple[Annotated[float, Field(gt=0.0, le=1000.0)], ...],
+    Field(strict=False, max_length=MAX_TERMS),
 ]
 _PositiveOrEndless: TypeAlias = Annotated[float, Field(gt=0.0, allow_inf_nan=True)]
 _Play: TypeAlias = Annotated[float, Field(ge=0.0, le=_MAX_PLAY)]
@@ -72,21 +74,13 @@ class Cogging(FileModel):
         quantity(
             "rad", "Phases of the cosines where the motors are at 0; 0 where they are left out."
         ),
-        Field(validate_default=True),
     ] = ()
-
-    @field_validator("phase")
-    @classmethod
-    def _complete_phase(cls, phase: _Rows, info: ValidationInfo) -> _Rows:
-        return phase or tuple((0.0,) * len(row) for row in info.data.get("amplitude", ()))
 
     @model_validator(mode="after")
     def _check_shapes(self) -> Cogging:
         terms = len(self.harmonic)
-        if terms > MAX_TERMS:
-            raise refusal("harmonic", list(self.harmonic), f"up to {MAX_TERMS} numbers")
         motors = len(self.amplitude[0]) if self.amplitude else 0
-        for key, rows in (("amplitude", self.amplitude), ("phase", self.phase)):
+        for key, rows in (("amplitude", self.amplitude), ("phase", self.phase or self.amplitude)):
             if len(rows) != terms or any(len(row) != motors for row in rows):
                 raise refusal(key, [list(row) for row in rows], f"{terms} rows of {motors} numbers")
         return self
@@ -146,7 +140,6 @@ class Windings(FileModel):
             "°C",
             "Temperature of the windings at the start; as warm as the surroundings if left out.",
         ),
-        Field(validate_default=True),
     ] = None
     reference: Annotated[_Degrees, quantity("°C", "Temperature at which the resistance holds.")] = (
         20.0
@@ -164,19 +157,19 @@ class Windings(FileModel):
         _DegreesOrNever, quantity("°C", "Temperature at which it gives none; .inf for never.")
     ]
 
-    @field_validator("initial")
-    @classmethod
-    def _complete_initial(cls, initial: float | None, info: ValidationInfo) -> float | None:
-        return info.data.get("ambient") if initial is None else initial
-
     @model_validator(mode="after")
     def _check_temperatures(self) -> Windings:
         if self.used and not self.derating < self.limit:
             raise refusal("derating", self.derating, f"below limit = {self.limit:g} °C")
-        warmest = max(self.ambient, self.initial or self.ambient)
+        warmest = max(self.ambient, self.start)
         if self.used and not warmest <= self.derating:
             raise refusal("derating", self.derating, f"at least {warmest:g} °C, as it begins")
         return self
+
+    @property
+    def start(self) -> float:
+        """Return the temperature at the start, degrees Celsius."""
+        return self.ambient if self.initial is None else self.initial
 
     @property
     def used(self) -> bool:
@@ -236,7 +229,7 @@ class Transmission(FileModel):
     """Gears and rotors."""
 
     gear: Annotated[
-        RowOf[float],
+        RowOf[NotZero],
         quantity(
             "1",
             "Motor revolutions per joint revolution; negative where they turn against each other.",
@@ -256,13 +249,6 @@ class Transmission(FileModel):
             path="coupling",
         ),
     ] = ()
-
-    @model_validator(mode="after")
-    def _check_gear(self) -> Transmission:
-        for i, gear in enumerate(self.gear):
-            if gear == 0.0:
-                raise refusal(f"gear[{i}]", gear, "a finite number other than 0")
-        return self
 
 
 class Motors(FileModel):
@@ -420,7 +406,8 @@ class DriveParameters(FileModel):
     @cached_property
     def turning(self) -> Coupling:
         """Return which joints each motor turns with."""
-        return _coupling(self.transmission.coupling) or Coupling.usual(len(self.transmission.gear))
+        rows = self.transmission.coupling
+        return Coupling(np.array(rows)) if rows else Coupling.usual(len(self.transmission.gear))
 
     @cached_property
     def gear(self) -> Array:
@@ -475,11 +462,6 @@ class DriveParameters(FileModel):
 
 _OPTIONAL: Final = ("elasticity", "cogging", "winding", "current_sensor")
 """The blocks of what is ideal if it is left out."""
-
-
-@lru_cache(maxsize=64)
-def _coupling(rows: tuple[tuple[float, ...], ...]) -> Coupling | None:
-    return Coupling(np.array(rows)) if rows else None
 
 
 def load_drives(path: Path) -> DriveParameters:

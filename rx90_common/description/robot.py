@@ -10,18 +10,24 @@ import xml.etree.ElementTree as ET
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, NoReturn, TypeAlias
 
 import numpy as np
 import pinocchio as pin
 from pydantic import Field, model_validator
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import MAX_JOINTS, Array
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import FileModel, Named, Triple, quantity, read_model, refusal
-from rx90_common.base.quoting import counted, plain
+from rx90_common.base.quoting import counted, plain, quoted
 from rx90_common.description.chain import RigidChain, rigid_chain
-from rx90_common.description.urdf import Placement, UrdfFile, inertia_fault
+from rx90_common.description.urdf import (
+    Placement,
+    inertia_fault,
+    pinocchio_model,
+    placements,
+    read_urdf,
+)
 
 MOUNT_LINK = "tool0"
 TOOL_LINK = "tool"
@@ -188,29 +194,88 @@ def load_robot(
     Without a tool the tool centre point is link `tool0`, or the last link if there is none. `held` joints
     are fixed, at the URDF's zero position. Inertias that are to be `replaced` may have any values.
     """
-    file = UrdfFile(urdf, held, replaced)
+    root = read_urdf(urdf)
+    for joint in root.findall("joint"):
+        _hold_or_bound(urdf, joint, joint.get("name") in held)
     if tool is not None:
-        attach(file.root, load_tool(tool), urdf)
-    text = ET.tostring(file.root, encoding="unicode")
-    try:
-        model = pin.buildModelFromXML(text)
-    except (ValueError, RuntimeError) as error:
-        file.refuse("the URDF", " ".join(str(error).split()), "what Pinocchio can read")
-    names = tuple(file.limits)
-    lower, upper, velocity, effort = np.array([*file.limits.values()]).T.copy()  # contiguous rows
-    frame = _tcp_frame(file, model, tool is not None)
-    chain = rigid_chain(file, frame)
-    placements = tuple(file.placements())
-    return RobotModel(names, text, model, lower, upper, velocity, effort, chain, frame, placements)
+        attach(root, load_tool(tool), urdf)
+    model = pinocchio_model(urdf, root)
+    names = tuple(map(str, list(model.names)[1:]))
+    _check_arm(urdf, model, names)
+    frame = _tcp_frame(model, tool is not None)
+    chain = rigid_chain(root, names, frame)
+    for name, inertia in zip(names, chain.inertia, strict=True):
+        fault = None if replaced else inertia_fault(tuple(inertia.tolist()))
+        if fault is not None:
+            _refuse(urdf, name, f"moves the inertia {inertia.tolist()} kg m^2", fault)
+    return RobotModel(
+        joint_names=names,
+        urdf=ET.tostring(root, encoding="unicode"),
+        model=model,
+        lower=np.array(model.lowerPositionLimit),
+        upper=np.array(model.upperPositionLimit),
+        max_velocity=np.array(model.velocityLimit),
+        max_effort=np.array(model.effortLimit),
+        chain=chain,
+        tcp_frame=frame,
+        placements=tuple(placements(root)),
+    )
 
 
-def _tcp_frame(file: UrdfFile, model: Any, has_tool: bool) -> str:
+def _hold_or_bound(urdf: Path, joint: ET.Element, held: bool) -> None:
+    """Fix a joint; or let a continuous one with a speed and an effort turn by half a turn either way."""
+    limit = joint.find("limit")
+    mimic = joint.find("mimic")
+    if held:
+        joint.set("type", "fixed")
+        if mimic is not None:
+            joint.remove(mimic)
+    elif joint.get("type") == "continuous" and limit is not None:
+        joint.set("type", "revolute")
+        limit.set("lower", str(-math.pi))
+        limit.set("upper", str(math.pi))
+    kind = joint.get("type")
+    if kind not in {"revolute", "fixed"}:
+        accepted = "revolute, or continuous with a <limit>, or fixed"
+        _refuse(urdf, joint.get("name"), f"type is {quoted(kind)}", accepted)
+    # what stands at a joint that does not move says nothing
+    if kind == "revolute" and mimic is not None:
+        _refuse(urdf, joint.get("name"), "is a mimic", "joints that move by themselves")
+
+
+def _check_arm(urdf: Path, model: Any, names: tuple[str, ...]) -> None:
+    """Refuse what is no arm of joints in series that can move and have a mass."""
+    if not 1 <= len(names) <= MAX_JOINTS:
+        raise ConfigError(
+            f"{plain(urdf)}: {counted(len(names), 'revolute joint')}; accepted: 1 to {MAX_JOINTS}, in series"
+        )
+    for number, name in enumerate(names):
+        lower = model.lowerPositionLimit[number]
+        upper = model.upperPositionLimit[number]
+        velocity = model.velocityLimit[number]
+        effort = model.effortLimit[number]
+        if model.parents[number + 1] != number:
+            _refuse(urdf, name, "is on a side branch", "revolute joints in series")
+        if not lower < upper:
+            _refuse(urdf, name, f"limit lower is {lower:g}", f"a number < upper = {upper:g} rad")
+        if not (velocity > 0.0 and effort > 0.0):
+            fault = f"limit has velocity {velocity:g} and effort {effort:g}"
+            _refuse(urdf, name, fault, "numbers > 0, rad/s and Nm")
+        if not model.inertias[number + 1].mass > 0.0:
+            _refuse(urdf, name, "moves no mass", "links with <inertial>")
+
+
+def _refuse(urdf: Path, joint: str | None, fault: str, accepted: str) -> NoReturn:
+    raise ConfigError(f"{plain(urdf)}: joint {quoted(joint)} {fault}; accepted: {accepted}")
+
+
+def _tcp_frame(model: Any, has_tool: bool) -> str:
     if has_tool:
         return TCP_LINK
-    if MOUNT_LINK in file.links:
+    links = [frame for frame in model.frames if frame.type == pin.BODY]
+    if any(link.name == MOUNT_LINK for link in links):
         return MOUNT_LINK
-    bodies = [frame for frame in model.frames if frame.type == pin.BODY]
-    return str([frame.name for frame in bodies if joint_of(frame) == model.njoints - 1][-1])
+    return str([link.name for link in links if joint_of(link) == model.njoints - 1][-1])
 
 
 def joint_of(frame: Any) -> int:

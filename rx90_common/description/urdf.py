@@ -1,28 +1,33 @@
-"""Read a URDF and report errors in one line, before any library reads it.
-
-Only a fixed-base arm of 1 to 7 revolute joints in series passes; fixed side branches are allowed. A continuous joint
-with a speed and an effort counts as revolute, half a turn either way.
-"""
+"""A URDF as XML and as Pinocchio's model; what neither would refuse is refused here, in one line."""
 
 from __future__ import annotations
 
-import math
+import os
+import sys
+import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Collection
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
-from rx90_common.base.arrays import MAX_JOINTS
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.text_lines import read_bytes
 
+TURNING = ("revolute", "continuous")
+"""Types of joints that turn about an axis."""
 _INERTIA_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 # A thin body may miss the triangle inequality by the rounding of its printed digits.
 _TRIANGLE_TOLERANCE = 1e-6
 _MOST_BYTES = 4 << 20  # elements take many times the memory of their text
+_MAX_MASS = 1e5  # kg
+_MAX_NUMBER = 1e12  # m and kg m^2: beyond any unit, and its square is a number
+_NUMBERS = "link/inertial/origin", "link/inertial/inertia", "joint/origin", "joint/axis"
+_STDERR = 2
 
 
 def inertia_fault(values: tuple[float, ...]) -> str | None:
@@ -45,19 +50,16 @@ def robot_name(urdf: str) -> str:
     return ET.fromstring(urdf).get("name", "")
 
 
-def read_urdf(file: Path, encoding: str | None = None) -> ET.Element:
-    """Return the root of a URDF of accepted size, names and <dynamics>.
-
-    Args:
-        file: the URDF.
-        encoding: of its text; None: the one that it states.
+def read_urdf(file: Path) -> ET.Element:
+    """Return the root of a URDF of accepted size and names, without <dynamics>: nothing here uses its values.
 
     Raises:
         ConfigError: naming what is not accepted.
-        ValueError, LookupError: if it is no XML (ElementTree.ParseError).
     """
-    content = read_bytes(file, _MOST_BYTES)
-    root = ET.fromstring(content if encoding is None else content.decode(encoding))
+    try:
+        root = ET.fromstring(read_bytes(file, _MOST_BYTES))
+    except (ET.ParseError, ValueError, LookupError) as error:
+        raise ConfigError(f"{plain(file)}: not well-formed XML ({error})") from error
     for element in root.iter():
         name = element.get("name", "")
         if not name.isprintable():
@@ -65,34 +67,87 @@ def read_urdf(file: Path, encoding: str | None = None) -> ET.Element:
                 f"{plain(file)}: the name of an element {quoted(element.tag)} is {quoted(name)}; accepted: one line of "
                 "printable characters"
             )
-    _check_dynamics(file, root)
+        if "xacro" in element.tag:
+            raise ConfigError(
+                f"{plain(file)}: an element is xacro; accepted: a plain URDF (expand it with xacro first)"
+            )
+    for joint in root.findall("joint"):
+        for dynamics in joint.findall("dynamics"):
+            joint.remove(dynamics)
     return root
 
 
-def _check_dynamics(file: Path, root: ET.Element) -> None:
-    """Refuse <dynamics> of a joint that Pinocchio refuses without naming the joint; nothing here uses its values."""
+def pinocchio_model(file: Path, root: ET.Element) -> Any:
+    """Return Pinocchio's model of a URDF.
+
+    Args:
+        file: for messages.
+        root: of the URDF.
+
+    Raises:
+        ConfigError: with the parser's reason; for a joint outside of the tree or without an axis, and for masses and
+            lengths that no arm has.
+    """
+    lines: list[str] = []
+    fault: object = ""
+    model = None
+    try:
+        with _caught_errors(lines):
+            model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
+    except (ValueError, RuntimeError) as error:
+        fault = error
+    if model is None or lines:  # of an inertial that cannot be read there are lines alone
+        reason = " ".join(("; ".join(lines) or str(fault)).split())
+        raise ConfigError(f"{plain(file)}: no URDF that Pinocchio can read ({reason})")
+    frames = {frame.name for frame in model.frames}
     for joint in root.findall("joint"):
-        for dynamics in joint.findall("dynamics"):
-            for key in ("damping", "friction"):
-                text = dynamics.get(key, "0")
-                try:
-                    good = 0.0 <= float(text) < math.inf
-                except ValueError:
-                    good = False
-                if not good:
+        where = f"{plain(file)}: joint {quoted(joint.get('name'))}"
+        if joint.get("name") not in frames:
+            raise ConfigError(f"{where} hangs at no link of the tree; accepted: one tree of links")
+        axis = joint.find("axis")
+        if joint.get("type") in TURNING and axis is not None and not any(_numbers(axis, "xyz")):
+            raise ConfigError(f"{where}: axis is 0 0 0; accepted: a direction")
+    for link in root.findall("link"):
+        mass = link.find("inertial/mass")
+        weight = 0.0 if mass is None else float(mass.get("value", "0"))
+        if not 0.0 <= weight <= _MAX_MASS:
+            raise ConfigError(
+                f"{plain(file)}: the mass of link {quoted(link.get('name'))} is {weight:g} kg; accepted: 0 to "
+                f"{_MAX_MASS:g} kg"
+            )
+    for path in _NUMBERS:
+        for element in root.iterfind(path):
+            for key in ("xyz", "rpy", *_INERTIA_KEYS):
+                if not all(abs(number) <= _MAX_NUMBER for number in _numbers(element, key)):
+                    text = quoted(element.get(key))
                     raise ConfigError(
-                        f"{plain(file)}: joint {quoted(joint.get('name'))} dynamics {key} is {quoted(text)}; accepted: "
-                        f"a finite number >= 0, or no {key}: friction is in the friction file"
+                        f"{plain(file)}: <{element.tag} {key}={text}>; accepted: numbers up to {_MAX_NUMBER:g}"
                     )
+    return model
 
 
-class Limits(NamedTuple):
-    """Limits of one revolute joint: rad, rad/s, Nm."""
+@contextmanager
+def _caught_errors(lines: list[str]) -> Iterator[None]:
+    """Collect the errors that the parser below Pinocchio writes to file descriptor 2, the only place where it does.
 
-    lower: float
-    upper: float
-    velocity: float
-    effort: float
+    All that it writes without an error, and other threads, comes behind.
+    """
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as file:
+        before = os.dup(_STDERR)
+        os.dup2(file.fileno(), _STDERR)
+        try:
+            yield
+        finally:
+            os.dup2(before, _STDERR)
+            os.close(before)
+            file.seek(0)
+            written = file.read()
+            for line in written.decode("utf-8", "replace").splitlines():
+                if line.startswith("Error:"):
+                    lines.append(line.removeprefix("Error:").strip())
+            if not lines:
+                os.write(_STDERR, written)
 
 
 class Placement(NamedTuple):
@@ -116,244 +171,50 @@ class LinkBody(NamedTuple):
     inertia: tuple[float, ...]
 
 
-def _bound(joint: ET.Element) -> None:
-    """Let a continuous joint turn by half a turn either way."""
-    limit = joint.find("limit")
-    if limit is not None:
-        joint.set("type", "revolute")
-        limit.set("lower", str(-math.pi))
-        limit.set("upper", str(math.pi))
+def placements(root: ET.Element) -> list[Placement]:
+    """Return the frames of all joints of a URDF that `pinocchio_model` accepts, each after those before it."""
+    left = root.findall("joint")
+    known = {link.get("name") for link in root.findall("link")}
+    known -= {_end(joint, "child") for joint in left}
+    ordered = []
+    while left:
+        for joint in list(left):
+            parent = _end(joint, "parent")
+            if parent in known:
+                child = _end(joint, "child")
+                axis = _numbers(joint.find("axis"), "xyz", "1 0 0")
+                ordered.append(
+                    Placement(joint.get("name", ""), parent, child, *_origin(joint), axis)
+                )
+                known.add(child)
+                left.remove(joint)
+    return ordered
 
 
-class UrdfFile:
-    """A checked URDF; every refusal names file, element, value and what is accepted.
-
-    Args:
-        file: where it is.
-        held: joints to be fixed.
-        replaced: whether the inertias of the moving links are to be replaced, and are not checked.
-
-    Attributes:
-        file: its path.
-        root: the XML element `robot`.
-        links: the elements of the links by name.
-        limits: limits of the revolute joints by name, in chain order from the base.
-    """
-
-    def __init__(self, file: Path, held: Collection[str] = (), replaced: bool = False) -> None:
-        self.file = file
-        self._replaced = replaced
-        self.root = self._parse()
-        for joint in self.root.findall("joint"):
-            if joint.get("name") in held:
-                joint.set("type", "fixed")
-                for mimic in joint.findall("mimic"):
-                    joint.remove(mimic)
-            elif joint.get("type") == "continuous":
-                _bound(joint)
-        self.links = self._named("link")
-        self._joints = self._named("joint")
-        self._parent_joint = self._tree()
-        self.base_link = next(name for name in self.links if name not in self._parent_joint)
-        self.limits = {name: self._limits(name, self._joints[name]) for name in self._chain()}
-
-    def refuse(self, element: str, value: object, accepted: str) -> NoReturn:
-        """Raise a ConfigError that names file, element, value and the accepted values."""
-        raise ConfigError(f"{self.file}: {element} is {quoted(value)}; accepted: {accepted}")
-
-    def _parse(self) -> ET.Element:
-        try:
-            root = read_urdf(self.file)
-        except (ET.ParseError, ValueError, LookupError) as error:
-            raise ConfigError(f"{self.file}: not well-formed XML ({error})") from error
-        if root.tag != "robot":
-            self.refuse("the root element", root.tag, "robot")
-        if any("xacro" in element.tag for element in root.iter() if isinstance(element.tag, str)):
-            self.refuse("an element", "xacro", "a plain URDF (expand it with xacro first)")
-        return root
-
-    def _named(self, tag: str) -> dict[str, ET.Element]:
-        found: dict[str, ET.Element] = {}
-        for element in self.root.findall(tag):
-            name = element.get("name", "")
-            if not name or name in found:
-                self.refuse(f"a {tag} name", name, f"a name for each {tag}, used once")
-            found[name] = element
-        if not found:
-            self.refuse(f"the number of {tag}s", 0, f"at least one {tag}")
-        return found
-
-    def _numbers(
-        self, element: ET.Element | None, where: str, key: str, default: str | None
-    ) -> list[float]:
-        text = default if element is None else element.get(key, default)
-        accepted = (
-            "a finite number" if default is None else f"{len(default.split())} finite numbers"
-        )
-        if text is None:
-            raise ConfigError(f"{self.file}: {where} {key} is missing; accepted: a finite number")
-        try:
-            values = [float(word) for word in text.split()]
-        except ValueError:
-            self.refuse(f"{where} {key}", text, accepted)
-        count = 1 if default is None else len(default.split())
-        if len(values) != count or not all(math.isfinite(value) for value in values):
-            self.refuse(f"{where} {key}", text, accepted)
-        return values
-
-    def _origin(
-        self, parent: ET.Element, where: str
-    ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        origin = parent.find("origin")
-        xyz = self._numbers(origin, f"{where} origin", "xyz", "0 0 0")
-        rpy = self._numbers(origin, f"{where} origin", "rpy", "0 0 0")
-        return tuple(xyz), tuple(rpy)
-
-    def _body(self, name: str, link: ET.Element) -> LinkBody | None:
+def bodies(root: ET.Element) -> list[LinkBody]:
+    """Return the bodies of all links that have one."""
+    found = []
+    for link in root.findall("link"):
         inertial = link.find("inertial")
-        if inertial is None:
-            return None
-        where = f"link '{name}' inertial"
-        origin = self._origin(inertial, where)
-        mass = self._numbers(inertial.find("mass"), f"{where} mass", "value", None)[0]
-        element = inertial.find("inertia")
-        values = tuple(
-            self._numbers(element, f"{where} inertia", key, None)[0] for key in _INERTIA_KEYS
-        )
-        if mass == 0.0 and not any(values):  # some write it so where there is nothing but a frame
-            return None
-        if mass <= 0.0:
-            self.refuse(f"{where} mass", mass, "a number > 0 kg")
-        return LinkBody(name, mass, *origin, values)
+        if inertial is not None:
+            mass = _numbers(inertial.find("mass"), "value")[0]
+            inertia = tuple(_numbers(inertial.find("inertia"), key)[0] for key in _INERTIA_KEYS)
+            if mass or any(inertia):  # some write zeros where there is nothing but a frame
+                found.append(LinkBody(link.get("name", ""), mass, *_origin(inertial), inertia))
+    return found
 
-    def _axis(self, name: str, joint: ET.Element) -> tuple[float, ...]:
-        return tuple(self._numbers(joint.find("axis"), f"joint '{name}' axis", "xyz", "1 0 0"))
 
-    def _limits(self, name: str, joint: ET.Element) -> Limits:
-        where = f"joint '{name}'"
-        if not any(self._axis(name, joint)):
-            self.refuse(f"{where} axis", "0 0 0", "a direction")
-        element = joint.find("limit")
-        if element is None:
-            self.refuse(f"{where} limit", None, "lower, upper, velocity and effort")
-        where += " limit"
-        limits = Limits(*(self._numbers(element, where, key, None)[0] for key in Limits._fields))
-        if not limits.lower < limits.upper:
-            self.refuse(f"{where} lower", limits.lower, f"a number < upper = {limits.upper:g} rad")
-        if limits.velocity <= 0.0:
-            self.refuse(f"{where} velocity", limits.velocity, "a number > 0 rad/s")
-        if limits.effort <= 0.0:
-            self.refuse(f"{where} effort", limits.effort, "a number > 0 Nm")
-        return limits
+def _end(joint: ET.Element, end: str) -> str:
+    """Return the link at the "parent" or "child" end of a joint."""
+    element = joint.find(end)
+    return "" if element is None else element.get("link", "")
 
-    def placements(self) -> list[Placement]:
-        """Return the frames of all joints, a tool's that was attached too, each after those before it in the tree."""
-        left = self._named("joint")
-        known = {self.base_link}
-        found = []
-        while left:
-            for name, joint in list(left.items()):
-                if (parent := self._end(joint, "parent")) in known:
-                    child = self._end(joint, "child")
-                    origin = self._origin(joint, f"joint '{name}'")
-                    found.append(Placement(name, parent, child, *origin, self._axis(name, joint)))
-                    known.add(child)
-                    del left[name]
-        return found
 
-    def bodies(self) -> list[LinkBody]:
-        """Return the bodies of all links that have one, an attached tool's too."""
-        bodies = (self._body(name, link) for name, link in self._named("link").items())
-        return [body for body in bodies if body is not None]
+def _origin(element: ET.Element) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    origin = element.find("origin")
+    return _numbers(origin, "xyz", "0 0 0"), _numbers(origin, "rpy", "0 0 0")
 
-    def _tree(self) -> dict[str, str]:
-        """Return the joint above each link but the root; check that the links form one tree."""
-        above: dict[str, str] = {}
-        for name, joint in self._joints.items():
-            kind = joint.get("type")
-            if kind not in {"revolute", "fixed"}:
-                self.refuse(
-                    f"joint '{name}' type",
-                    kind,
-                    f"revolute, or continuous with a <limit> (1 to {MAX_JOINTS} in series), or fixed",
-                )
-            # what stands at a joint that does not move says nothing
-            if kind == "revolute" and joint.find("mimic") is not None:
-                self.refuse(f"joint '{name}'", "mimic", "joints that move by themselves")
-            self._origin(joint, f"joint '{name}'")
-            for end in ("parent", "child"):
-                if self._end(joint, end) not in self.links:
-                    self.refuse(
-                        f"joint '{name}' {end} link", self._end(joint, end), "a link of this file"
-                    )
-            child = self._end(joint, "child")
-            if child in above:
-                self.refuse(
-                    f"joint '{name}' child link", child, f"a link not yet below '{above[child]}'"
-                )
-            above[child] = name
-        roots = [name for name in self.links if name not in above]
-        if len(roots) != 1:
-            self.refuse("the set of root links", roots, "exactly one, fixed to the ground")
-        for name in self.links:
-            self._path(name, above)
-        return above
 
-    @staticmethod
-    def _end(joint: ET.Element, end: str) -> str:
-        """Return the link at the "parent" or "child" end of a joint."""
-        element = joint.find(end)
-        return "" if element is None else element.get("link", "")
-
-    def _path(self, link: str, above: dict[str, str]) -> list[str]:
-        """Return the joints from the root to `link`."""
-        path: list[str] = []
-        while link in above:
-            path.append(above[link])
-            if len(path) > len(above):
-                self.refuse(f"the tree above link '{link}'", "a loop", "links in a tree")
-            link = self._end(self._joints[above[link]], "parent")
-        return path[::-1]
-
-    def _chain(self) -> list[str]:
-        """Return the revolute joints from base to tip; check that there are not too many, in series, with mass."""
-        moving = [name for name, joint in self._joints.items() if joint.get("type") == "revolute"]
-        if not 1 <= len(moving) <= MAX_JOINTS:
-            self.refuse(
-                "the number of revolute joints", len(moving), f"1 to {MAX_JOINTS}, in series"
-            )
-        paths = {
-            name: [
-                j
-                for j in self._path(self._end(self._joints[name], "child"), self._parent_joint)
-                if j in moving
-            ]
-            for name in moving
-        }
-        last = max(paths, key=lambda name: len(paths[name]))
-        if len(paths[last]) != len(moving):
-            side = next(name for name in moving if name not in paths[last])
-            self.refuse(f"joint '{side}'", "on a side branch", "revolute joints in series")
-        self._check_masses(paths[last])
-        return paths[last]
-
-    def _check_masses(self, chain: list[str]) -> None:
-        heavy = set()
-        bodies = {body.link: body for body in self.bodies()}
-        for name in self.links:
-            body = bodies.get(name)
-            carried = [j for j in self._path(name, self._parent_joint) if j in chain][-1:]
-            # a fixed link may have any inertia, and in many files has
-            if body is not None and carried:
-                fault = None if self._replaced else inertia_fault(body.inertia)
-                if fault is not None:
-                    text = " ".join(
-                        f"{key}={value:g}"
-                        for key, value in zip(_INERTIA_KEYS, body.inertia, strict=True)
-                    )
-                    self.refuse(f"link '{name}' inertial inertia", text, fault)
-                heavy.update(carried)
-        for joint in chain:
-            if joint not in heavy:
-                link = self._end(self._joints[joint], "child")
-                self.refuse(f"link '{link}' inertial", None, "mass and inertia")
+def _numbers(element: ET.Element | None, key: str, default: str = "0") -> tuple[float, ...]:
+    text = default if element is None else element.get(key, default)
+    return tuple(map(float, text.split()))

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array, record_type
 from rx90_common.friction.bristle import bristle_step, friction_torque
@@ -42,18 +41,9 @@ def elements_dtype(width: int) -> np.dtype[np.void]:
 
     The fields are those of `Elements`. The torques have a row for each of SIGNS; v = 0 counts as positive.
     """
-    signed = (len(SIGNS), width)
-    return record_type(
-        tau_c=signed,
-        tau_s=signed,
-        inverse_omega_s=width,
-        delta=width,
-        c0=width,
-        c1=width,
-        c2=width,
-        inverse_omega_d=width,
-        alpha=width,
-    )
+    shapes: dict[str, Any] = dict.fromkeys(Elements._fields, width)
+    shapes["tau_c"] = shapes["tau_s"] = (len(SIGNS), width)
+    return record_type(**shapes)
 
 
 def element_arrays(elements: Sequence[FrictionElement]) -> np.ndarray[Any, Any]:
@@ -107,28 +97,6 @@ def lane_of(element: Elements, index: int) -> Elements:
 def one_element(arrays: Any, index: int) -> Elements:
     """Return one element of such a record, in plain numbers."""
     return lane_of(load_elements(arrays, size(arrays.c0)), index)
-
-
-@inlined
-def with_present(
-    element: Elements,
-    tau_c: tuple[Lanes, Lanes],
-    tau_s: tuple[Lanes, Lanes],
-    inverse_omega_s: Lanes,
-    c2: Lanes,
-) -> Elements:
-    """Return elements with others in place of those that the parts change from step to step."""
-    return Elements(
-        tau_c,
-        tau_s,
-        inverse_omega_s,
-        element.delta,
-        element.c0,
-        element.c1,
-        c2,
-        element.inverse_omega_d,
-        element.alpha,
-    )
 
 
 @inlined
@@ -207,10 +175,6 @@ def bristles_energy(c0: Lanes, kinds: Any, state: Any, z: Lanes, width: int) -> 
     return energy
 
 
-BRISTLE_STATE_DTYPE = record_type(bristles=bristles_state_dtype(1), z=1)
-"""Deflection, rad, of one element, and the further state of its bristles."""
-
-
 def prescribed_torque(elements: Sequence[FrictionElement], velocity: Array, steps: Array) -> Array:
     """Return the friction torque of each element, the mean over each step, from undeflected bristles on, Nm.
 
@@ -222,67 +186,34 @@ def prescribed_torque(elements: Sequence[FrictionElement], velocity: Array, step
     Returns:
         Shape (m, e).
     """
-    torque = np.zeros_like(velocity)
-    _bristles(element_arrays(elements), np.ascontiguousarray(velocity), steps, torque)
-    for e, element in enumerate(elements):
-        if element.bristles is not None:
-            torque[:, e] = _other_torque(element, np.ascontiguousarray(velocity[:, e]), steps)
-    return torque
-
-
-def _other_torque(element: FrictionElement, velocity: Array, steps: Array) -> Array:
-    """Return the torque of an element with other bristles than LuGre's, shape (m,)."""
-    constants = np.zeros(1, bristles_dtype(1))
-    state = np.zeros(1, BRISTLE_STATE_DTYPE)
-    fill_bristles(constants[0], [element.bristles])
     torque = np.empty_like(velocity)
-    deflection = np.empty_like(velocity)
-    follow_bristles(
-        element_arrays((element,)), constants, state, velocity, steps, torque, deflection
-    )
+    for e, element in enumerate(elements):
+        constants = np.zeros(1, bristles_dtype(1))
+        fill_bristles(constants[0], [element.bristles])
+        _follow_bristles(
+            element_arrays((element,)),
+            constants,
+            np.zeros(1, bristles_state_dtype(1)),
+            np.ascontiguousarray(velocity[:, e]),
+            steps,
+            torque[:, e],
+        )
     return torque
 
 
 @kernel
-def _bristles(arrays: NDArray[np.void], velocity: Array, steps: Array, torque: Array) -> None:
-    """Write the friction torque of each element over each step of prescribed velocities, shape (m, e)."""
-    for e in range(torque.shape[1]):
-        element = one_element(arrays[0], e)
-        z = 0.0
-        for k in range(steps.size):
-            z, torque[k, e] = bristle_step(element, z, velocity[k, e], steps[k])
-
-
-@kernel
-def follow_bristles(
-    arrays: Any,
-    constants: Any,
-    states: Any,
-    velocity: Array,
-    steps: Array,
-    torque: Array,
-    deflection: Array,
+def _follow_bristles(
+    arrays: Any, constants: Any, states: Any, velocity: Array, steps: Array, torque: Array
 ) -> None:
-    """Write torque and deflection of one element with any bristles in each step of prescribed velocities.
-
-    Args:
-        arrays: the element, shape (1,), from `element_arrays`.
-        constants: of its bristles, shape (1,), `bristles_dtype(1)`.
-        states: at the beginning, shape (1,), BRISTLE_STATE_DTYPE; overwritten.
-        velocity: held over each step, rad/s, shape (m,).
-        steps: s, shape (m,).
-        torque: overwritten with the mean over each step, Nm, shape (m,).
-        deflection: overwritten with that at the end of each step, rad, shape (m,).
-    """
+    """Write the torque of one element with any bristles, the mean over each step of prescribed velocities, Nm."""
     element = load_elements(arrays[0], 1)
     kinds = constants[0]
-    state = states[0].bristles
-    z = load(states[0].z, 1)
-    still = 0.0 * z
+    state = states[0]
+    still = 0.0 * element.c0
+    z = still
     for k in range(steps.size):
         if steps[k] > 0.0:
             z, mean = bristles_step(element, kinds, state, z, still + velocity[k], steps[k], 1)
         else:  # a mean over no time
             mean = bristles_torque(element, kinds, state, z, still + velocity[k], 1)
         torque[k] = lane(mean, 0)
-        deflection[k] = lane(z, 0)

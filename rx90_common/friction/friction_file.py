@@ -14,7 +14,6 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import FileModel, Named, model_text, quantity, read_model, refusals
 from rx90_common.base.quoting import counted, nearest, question, quoted
 from rx90_common.friction.element import FrictionElement, legend
-from rx90_common.friction.parts.bristles import MaxwellSlip
 
 
 class JointTorques(FileModel):
@@ -155,16 +154,9 @@ def _passivity_warning(name: str, element: FrictionElement, speed: float) -> str
     limit = element.passivity_limit(speed)
     if math.isinf(limit):
         return ""
-    reducing = [part_name for part_name, part in element.parts.items() if part.lowers_friction]
-    least = f", with the least friction by {', '.join(reducing)}" if reducing else ""
-    blocks = isinstance(element.bristles, MaxwellSlip)
-    bound = (
-        "the bound of its blocks, docs/explanation/bristles.md," if blocks else "c1 < 4 c0 g / |v|"
-    )
     return (
-        f"elements.{name}.c1 is {element.c1:g} Nm s/rad, not passive from {limit:.3g} rad/s on; "
-        f"accepted: below {element.passive_damping(speed):.3g} ({bound} up to {speed:.3g} rad/s{least}), "
-        "or a c1 that fades with omega_d"
+        f"elements.{name}.c1 is {element.c1:g} Nm s/rad, not passive from {limit:.3g} rad/s on; accepted: below "
+        f"{element.passive_damping(speed):.3g} up to {speed:.3g} rad/s, or a c1 that fades with omega_d"
     )
 
 

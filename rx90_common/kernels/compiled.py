@@ -41,8 +41,6 @@ from rx90_common.kernels.sources import files_with_kernels, module_file
 
 _UNUSED_S = 28 * 24 * 3600.0  # after which the folder of other sources is removed
 _FOLDER = re.compile(r"[0-9a-f]{16}")
-_LONGEST_S = 120.0  # wait for another process, after which this one compiles itself
-_LOOK_S = 0.02
 
 
 class CompileLock:
@@ -66,24 +64,11 @@ class CompileLock:
         except OSError:
             return
         try:
-            self._wait(descriptor)
+            _lock(descriptor)
         except BaseException:  # Ctrl-C
             os.close(descriptor)
             raise
         self._descriptor = descriptor
-
-    def _wait(self, descriptor: int) -> None:
-        end = time.monotonic() + _LONGEST_S
-        while time.monotonic() < end:
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                compilation_begins()
-                time.sleep(_LOOK_S)
-            except OSError:  # a file system without locks
-                return
-            else:
-                return
 
     def release(self) -> None:
         """Let others have it; who waits looks for the code first."""
@@ -93,6 +78,17 @@ class CompileLock:
             self._file.unlink()
         os.close(self._descriptor)
         self._descriptor = None
+
+
+def _lock(descriptor: int) -> None:
+    """Wait for the lock of a file; without delay on a file system that has none."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        compilation_begins()
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+    except OSError:
+        return
 
 
 def _kernels_hash() -> str:

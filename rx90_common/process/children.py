@@ -16,7 +16,6 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from weakref import WeakSet
 
 from rx90_common.base.errors import ProcessError
 from rx90_common.base.share import PACKAGE, ROOT
@@ -28,8 +27,6 @@ TIMEOUT = 120.0
 _LAST_LINES_S = 10.0  # the longest wait for remaining output after the end: its own children may keep the stream open
 _WATCHES_STDIN = "RX90_CHILD_WATCHES_STDIN"  # in the environment of a child
 _ORPHAN_GRACE_S = 20.0  # from the interrupt of a child without a parent until it is killed
-
-_started: WeakSet[ChildProcess] = WeakSet()
 
 
 def executable(name: str, *arguments: object) -> list[str]:
@@ -72,7 +69,6 @@ class ChildProcess:
             errors="replace",
             start_new_session=True,
         )
-        _started.add(self)
         self._reader = threading.Thread(target=self._read, name=f"output of {name}", daemon=True)
         self._reader.start()
 
@@ -230,10 +226,3 @@ def _end_with_stdin() -> None:
     os.kill(os.getpid(), signal.SIGINT)
     time.sleep(_ORPHAN_GRACE_S)
     os.killpg(0, signal.SIGKILL)  # a session of its own: this process and its children
-
-
-def kill_all() -> None:
-    """Kill all child processes, with their own children: before an end without clean-up."""
-    for child in tuple(_started):
-        if child.returncode is None:
-            os.killpg(child.pid, signal.SIGKILL)

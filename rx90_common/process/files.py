@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import fcntl
 import io
 import os
 import re
 import shutil
 import sys
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from rx90_common.base.errors import OutputError, write_error
 from rx90_common.process.interrupts import deferred_interrupts
 
 _LONGEST_PREFIX = 50  # characters of a name, which may take four bytes each
-_MARK = ".rx90-"
-_RANDOM = "?" * 8  # of `mkdtemp`
 _BROKEN_PIPE_CODE = 141  # as a shell reports the end by SIGPIPE
 
 
@@ -27,45 +24,14 @@ _BROKEN_PIPE_CODE = 141  # as a shell reports the end by SIGPIPE
 def hidden_folder(target: Path) -> Iterator[Path]:
     """Yield a new hidden folder beside a file or folder that is being made; it is removed at the end of the block.
 
-    Its process has a lock on it, which a kill releases: such abandoned folders are removed first.
+    A process that is killed leaves it behind.
 
     Raises:
         OSError: if none can be made.
     """
-    for leftover in target.parent.glob(f".*{_MARK}{_RANDOM}"):
-        with suppress(OSError):  # somebody else's
-            lock = _lock(leftover, wait=False)
-            shutil.rmtree(leftover, ignore_errors=True)
-            os.close(lock)
-    while True:
-        folder = Path(
-            tempfile.mkdtemp(prefix=f".{target.name[:_LONGEST_PREFIX]}{_MARK}", dir=target.parent)
-        )
-        with suppress(FileNotFoundError):  # swept between its making and its lock
-            lock = _lock(folder, wait=True)
-            break
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        os.close(lock)
-
-
-def _lock(folder: Path, *, wait: bool) -> int:
-    """Return a descriptor of a folder with its lock; on a file system without locks, with `wait`, without one.
-
-    Raises:
-        OSError: if the folder does not exist; without `wait`, if another process has the lock.
-    """
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    try:
-        with suppress(*(OSError,) * wait):
-            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        folder.lstat()
-    except OSError:
-        os.close(descriptor)
-        raise
-    return descriptor
+    prefix = f".{target.name[:_LONGEST_PREFIX]}.rx90-"
+    with TemporaryDirectory(prefix=prefix, dir=target.parent, ignore_cleanup_errors=True) as folder:
+        yield Path(folder)
 
 
 @contextmanager

@@ -14,13 +14,10 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
 from types import FrameType
-
-from rx90_common.base.errors import FAILED, INTERRUPTED
 
 _INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _RETRY_S = 0.02
@@ -159,64 +156,6 @@ def deferred_interrupts() -> Iterator[Callable[[], None]]:
         for number, handler in before.items():
             signal.signal(number, handler)
     check()
-
-
-class Start:
-    """Whether the start of a program is over, from when on it takes interrupts by itself."""
-
-    is_over = False
-
-    def over(self) -> None:
-        """Say that it is."""
-        self.is_over = True
-
-
-@contextmanager
-def ends_within(
-    start_s: float, end_s: float, give_up: Callable[[], None], cut_off: Callable[[], None]
-) -> Iterator[Start]:
-    """Have Ctrl-C, SIGTERM or SIGHUP end this process within a time, whatever it waits for.
-
-    KeyboardInterrupt is raised as usual, and cleans up; but while kernels are compiled, or during a wait on
-    the way out, the main thread may be busy for long. A thread receives the signal at once, and waits no longer. After
-    `Start.over` its time counts to the end of the process, not of the block: libraries wait for threads there, too.
-
-    Args:
-        start_s: how long an interrupted start may take to end, s.
-        end_s: how long the end may take after `Start.over`, s.
-        give_up: called before a process that was starting is ended with 130; must return at once.
-        cut_off: called before one that was running is ended with 3; must return at once.
-    """
-    start = Start()
-    interrupted = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield start
-        return
-    reader, writer = os.pipe()
-    os.set_blocking(writer, False)
-
-    def listen() -> None:
-        while number := os.read(reader, 1):
-            if number[0] in _INTERRUPTS:
-                over = start.is_over
-                if not over:
-                    interrupted.set()
-                time.sleep(end_s if over else start_s)
-                (cut_off if over else give_up)()
-                os._exit(FAILED if over else INTERRUPTED)
-        os.close(reader)
-
-    threading.Thread(target=listen, name="interrupts", daemon=True).start()
-    before = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-    try:
-        yield start
-    finally:
-        if interrupted.is_set():
-            # a compiler in another thread may crash when the interpreter ends in order
-            end_with(INTERRUPTED)
-        else:
-            signal.set_wakeup_fd(before)
-            os.close(writer)  # the thread reads the end
 
 
 def end_with(code: int) -> None:

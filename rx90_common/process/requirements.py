@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import sysconfig
-from pathlib import Path
 from types import TracebackType
 
 _NAMED_ALIKE = (
@@ -74,19 +72,10 @@ def is_ros(module: str) -> bool:
 
 
 def _accepted(module: str) -> str:
-    # A system's own Python that is managed by its packages refuses pip; a virtual environment does not.
-    folder = Path(sysconfig.get_path("stdlib"))
-    managed = sys.prefix == sys.base_prefix and (folder / "EXTERNALLY-MANAGED").is_file()
     if module in {"control_msgs", "controller_manager_msgs", "tf2_msgs"}:  # in no registry of pip
         sourced = os.environ.get("ROS_DISTRO") == "jazzy"
         package = f"ros-jazzy-{module.replace('_', '-')}"
         return f"sudo apt install {package}" if sourced else "make action, in the project's folder"
     if is_ros(module):
-        return "a sourced ROS 2 Jazzy" + ("" if managed else f", or {_pip(_ROS_FROM_PIP)}")
-    if managed:
-        return f"a virtual environment with {SOURCES[module]} in it, as in docs/start/install.md"
-    return _pip(SOURCES[module])
-
-
-def _pip(what: str) -> str:
-    return f"{sys.executable} -m pip install {what}"
+        return f"a sourced ROS 2 Jazzy, or {sys.executable} -m pip install {_ROS_FROM_PIP}"
+    return f"{sys.executable} -m pip install {SOURCES[module]}, in a virtual environment"

@@ -1,4 +1,4 @@
-"""The priority of this process's threads."""
+"""The priority of this process."""
 
 from __future__ import annotations
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
+import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
-from rx90_common.process.children import kill_all
-from rx90_common.process.interrupts import ends_within
 from rx90_common.process.threads import be_nicer
 from rx90_emulator.cli.options import (
     add_node,
@@ -21,7 +19,6 @@ from rx90_emulator.cli.options import (
 
 _NICENESS = 10
 _TIMEOUT = 5.0  # s for the answer of a node
-_END_WITHIN = 1.5, 20.0  # s, from Ctrl-C to the end: of a start, of a page that is shown
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,22 +53,14 @@ def main(options: argparse.Namespace) -> None:
     Raises:
         KeyboardInterrupt: before the page shows what it was started for; later Ctrl-C is how it ends.
     """
-    late = f"did not end within {_END_WITHIN[1]:g} s, and was cut off"
-    with ends_within(
-        *_END_WITHIN, partial(_cut_short, "interrupted"), partial(_cut_short, late)
-    ) as start:
-        import viser  # noqa: F401 - before kernels are compiled for a page that cannot be made
+    import viser  # noqa: F401 - before kernels are compiled for a page that cannot be made
 
-        try:
-            _show_nodes(options, start.over)
-        except KeyboardInterrupt:
-            if not start.is_over:
-                raise
-
-
-def _cut_short(why: str) -> None:
-    kill_all()
-    print(f"rx90 view: {why}", file=sys.stderr, flush=True)
+    started = threading.Event()
+    try:
+        _show_nodes(options, started.set)
+    except KeyboardInterrupt:
+        if not started.is_set():
+            raise
 
 
 def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> None:

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable
 
 from rclpy.node import Node
-from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.qos import ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from rx90_common.base.arrays import Array
@@ -16,7 +16,6 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.cdr_stamps import cdr_stamp_ns
 from rx90_common.exchange.channel import TickChannel
-from rx90_common.exchange.endpoints import TICK_QOS
 from rx90_common.exchange.lockstep import stamped
 from rx90_common.exchange.pacing import OnceLog
 from rx90_common.exchange.topics import COMMAND_INTERFACES
@@ -24,7 +23,7 @@ from rx90_sim.plant import JointInterface
 
 MAX_AGE = 3
 """Ticks from the states that a command answers to the last that it is applied in: docs/explanation/free_running.md."""
-_LINES = 4  # about the brakes in _LINES_WINDOW; more changes are counted
+_LINES = 4  # about the brakes in _LINES_WINDOW; of more changes the newest is said later
 _LINES_WINDOW = 10.0  # s
 # commands that are not newer than the one before, within _WINDOW, that make two controllers
 _OUT_OF_ORDER_COUNT = 3
@@ -73,20 +72,15 @@ class HeldCommand:
         self._announce = announce
         self._complain = complain
         self._interrupted = interrupted
-        self.wait_for(timeout)
+        self._timeout = timeout
+        self._oldest = max(MAX_AGE, round(timeout * NANOSECONDS / period_ns))
         self.forget()
         self._out_of_order: deque[float] = deque(maxlen=_OUT_OF_ORDER_COUNT)
         self.two_controllers = False
         self.missed = self.waited = 0
         self._closed = False  # the brakes, as far as changes were noted
-        self._changes = 0  # of the brakes that have not been announced
+        self._unsaid = False  # whether a change of the brakes has not been announced
         self._lines: deque[float] = deque(maxlen=_LINES)
-
-    def wait_for(self, timeout: float) -> None:
-        """Wait so long for a command, s, from the next tick on; callable from every thread."""
-        self._timeout = timeout
-        self._oldest = max(MAX_AGE, round(timeout * NANOSECONDS / self._period_ns))
-        self._most_age = MAX_AGE
 
     def forget(self) -> None:
         """Drop the command, after a reset."""
@@ -109,12 +103,12 @@ class HeldCommand:
         elif self._followed and self._too_old(tick):
             self._followed = self._wait(tick)
         torques = self._torques if self._followed else None
-        if (torques is not None) == self._closed or self._changes:
+        if (torques is not None) == self._closed or self._unsaid:
             self._announce_brakes(torques is not None)
         return None if self.two_controllers else torques
 
     def _too_old(self, tick: int) -> bool:
-        return self._answered is None or tick - self._answered > self._most_age
+        return self._answered is None or tick - self._answered > MAX_AGE
 
     def _wait(self, tick: int) -> bool:
         """Wait for a command that is new enough; return whether there is one to go on with."""
@@ -181,16 +175,14 @@ class HeldCommand:
             self._announce(f"two controllers publish on {self._topic}: no torque until one is left")
 
     def _announce_brakes(self, opened: bool) -> None:
-        """Report that the brakes have opened or closed; if that happens too often, changes are only counted."""
-        if opened == self._closed:
-            self._closed = not opened
-            self._changes += 1
+        """Report that the brakes have opened or closed; if that happens too often, the newest change alone, later."""
+        self._closed = not opened
+        self._unsaid = True
         now = time.monotonic()
         if len(self._lines) == _LINES and now - self._lines[0] < _LINES_WINDOW:
             return
         self._lines.append(now)
-        changes = self._changes
-        self._changes = 0
+        self._unsaid = False
         if opened:
             text = f"commands on {self._topic}: the brakes open"
         elif self._followed:
@@ -199,9 +191,7 @@ class HeldCommand:
             text = f"waiting for a controller on {self._topic}: the brakes hold the arm"
         else:
             text = f"no command on {self._topic} for {self._timeout:g} s: torque off, brakes closed"
-        self._announce(
-            text + (f" (after {changes - 1} changes without a line)" if changes > 1 else "")
-        )
+        self._announce(text)
 
 
 class NewestCommand(HeldCommand):
@@ -214,15 +204,13 @@ class NewestCommand(HeldCommand):
     is the age at which the torque is switched off, s.
     """
 
-    def wait_for(self, timeout: float) -> None:
-        """Hold a command up to this age, s, from the next tick on; callable from every thread."""
-        super().wait_for(timeout)
-        self._most_age = self._oldest
-
     def forget(self) -> None:
         """Drop the command, after a reset."""
         super().forget()
         self._elsewhere = 0  # stamps in a row that are not simulated times of late
+
+    def _too_old(self, tick: int) -> bool:
+        return self._answered is None or tick - self._answered > self._oldest
 
     def _wait(self, tick: int) -> bool:  # noqa: ARG002 - time goes on
         return False
@@ -249,8 +237,7 @@ class NewestCommand(HeldCommand):
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 _LOOK = 1.0  # s between two looks at the graph
-# at two controllers in a row: a user's process that was killed stays in the graph for 20 s
-_CROWDED_LOOKS = 25
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of ROS
 
 
 class JointCommands:
@@ -305,25 +292,17 @@ class CommandWatch:
         self._node = node
         self._once = once
         self._interface = interface
-        self._states, self._commands = (
-            str(node.resolve_topic_name(one)) for one in COMMAND_INTERFACES[interface]
-        )
+        self._commands = str(node.resolve_topic_name(COMMAND_INTERFACES[interface][1]))
         self._others = {
             other: str(node.resolve_topic_name(commands))
             for other, (_, commands) in COMMAND_INTERFACES.items()
             if other != interface
         }
-        self._crowded = 0
-        self._known: set[tuple[int, ...]] = set()  # endpoints of the last look
-        self._found: set[tuple[int, ...]] = set()  # those of this one
         self._timer = node.create_timer(_LOOK, self.look)
 
     def look(self) -> None:
-        """Report problems of the publishers of commands, and of the subscribers of the states that commands answer."""
-        self._known = self._found
-        self._found = set()
-        found = self._named(self._node.get_publishers_info_by_topic(self._commands))
-        for info in found:
+        """Report problems of the publishers of commands."""
+        for info in self._publishers(self._commands):
             if info.topic_type != _JOINT_STATE:
                 self._say(info, f"publishes {info.topic_type}; accepted: {_JOINT_STATE}")
             elif info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT:
@@ -331,36 +310,17 @@ class CommandWatch:
                     info,
                     "publishes best effort, which is not heard; accepted: reliable, such as QoS depth 1",
                 )
-        self._crowded = self._crowded + 1 if len(found) > 1 else 0
-        if self._crowded == _CROWDED_LOOKS:
-            names = ", ".join(sorted(info.node_name for info in found))
-            self._once.say(
-                f"{self._commands}: {len(found)} publishers, {names}; accepted: one controller"
-            )
-        for info in self._named(self._node.get_subscriptions_info_by_topic(self._states)):
-            requested = QoSProfile(
-                depth=1,
-                reliability=info.qos_profile.reliability,
-                durability=info.qos_profile.durability,
-            )
-            compatible, reason = qos_check_compatible(TICK_QOS, requested)
-            if compatible == QoSCompatibility.ERROR:
-                self._once.say(
-                    f"{self._states}: node {info.node_name} does not get the states ({reason.strip(' ;')}); accepted: "
-                    "volatile, reliable or best effort"
-                )
         for other, topic in self._others.items():
-            for info in self._named(self._node.get_publishers_info_by_topic(topic)):
+            for info in self._publishers(topic):
                 self._once.say(
                     f"{topic}: node {info.node_name} is not heard, because command_interface is {self._interface}; "
                     f"accepted: commands on {self._commands}, or -p command_interface:={other}"
                 )
 
-    def _named(self, endpoints: list[TopicEndpointInfo]) -> list[TopicEndpointInfo]:
-        """Return those that were there a look ago: of a new one the graph may not know the node's name yet."""
-        gids = [tuple(info.endpoint_gid) for info in endpoints]
-        self._found.update(gids)
-        return [info for info, gid in zip(endpoints, gids, strict=True) if gid in self._known]
+    def _publishers(self, topic: str) -> list[TopicEndpointInfo]:
+        """Return the publishers of a topic whose node's name the graph knows already."""
+        publishers = self._node.get_publishers_info_by_topic(topic)
+        return [info for info in publishers if info.node_name != _UNKNOWN]
 
     def _say(self, info: TopicEndpointInfo, text: str) -> None:
         self._once.say(f"{self._commands}: node {info.node_name} {text}")

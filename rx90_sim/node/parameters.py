@@ -130,7 +130,11 @@ class SimulationParameters(RobotParameters):
             raise refusal("command_rate", self.command_rate, accepted)
         with as_refusal():
             ticks_per("command_rate", self.base_rate, self.command_hz)
-            self.check_age_limit(self.command_age_limit)
+        least = 2.0 / self.command_hz
+        joint = self.command_interface == JOINT_INTERFACE
+        if joint and self.time_mode == FREE_RUNNING and self.command_age_limit < least:
+            accepted = f"at least two periods of the commands, {least:g} s"
+            raise refusal("command_age_limit", self.command_age_limit, accepted)
         return self
 
     def check_files(self) -> None:
@@ -148,19 +152,6 @@ class SimulationParameters(RobotParameters):
                 "joint, or one for all, rad"
             )
         return np.clip(given, robot.lower, robot.upper) if len(given) < joints else given
-
-    def check_age_limit(self, limit: float) -> float:
-        """Return an age limit of joint commands, s, that leaves time to answer."""
-        least = 2.0 / self.command_hz
-        if (
-            self.command_interface == JOINT_INTERFACE
-            and self.time_mode == FREE_RUNNING
-            and limit < least
-        ):
-            raise ConfigError(
-                f"command_age_limit is {limit:g} s; accepted: at least two periods of the commands, {least:g} s"
-            )
-        return limit
 
     @property
     def command_hz(self) -> int:

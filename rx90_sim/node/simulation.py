@@ -39,10 +39,6 @@ from rx90_sim.plant import Plant, beyond_law
 _REQUEST_TIMEOUT = 5.0  # s
 
 
-def _ignore(_value: object) -> None:
-    """Take a value that something else looks at, or that has no effect in this mode."""
-
-
 class Simulation:
     """The node; between configure and clean-up it has a `SimulatedArm`.
 
@@ -84,14 +80,7 @@ class Simulation:
         self._arm = arm = SimulatedArm(self.node, files, parameters)
         arm.ticks.listeners.others = self._also_listening
         self._allow("real_time_factor", arm.check_pace, arm.ticks.pacer.change)
-        joint = parameters.command_interface == JOINT_INTERFACE
-        self._allow(
-            "command_age_limit",
-            parameters.check_age_limit,
-            arm.ticks.held.wait_for if joint else _ignore,
-        )
-        self._allow("command_timeout", float, _ignore if joint else arm.ticks.held.wait_for)
-        self._allow("step_ticks", int, _ignore)  # looked at by each call
+        self._allow("step_ticks", int, lambda _: None)  # looked at by each call
         self.node.changes.publish_constants(SEED)
         self._follow(arm.time_mode)
         self.node.ticking.begin(arm.ticks.run, arm.ticks.control.stop)

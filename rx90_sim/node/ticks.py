@@ -61,7 +61,6 @@ class RunControl:
         self._paused = paused
         self.held = self.stopped = self._reset = False
         self._steps = 0
-        self._undisturbed = not paused
 
     @property
     def paused(self) -> bool:
@@ -75,14 +74,9 @@ class RunControl:
 
     def next_action(self, tick: int, timeout: float) -> NextAction:
         """Return what to do before tick `tick`; waits up to `timeout` seconds while paused."""
-        last = self._last_tick is not None and tick >= self._last_tick
-        # Without the lock, which costs the tick as much as the law: a request that comes now counts before the next.
-        if self._undisturbed and not last:
-            return NextAction.STEP
         with self._changed:
-            if last:
+            if self._last_tick is not None and tick >= self._last_tick:
                 self.stopped = True
-                self._undisturbed = False
                 # Who waits for ticks beyond the last one waits in vain.
                 self._changed.notify_all()
             if not self._runnable():
@@ -133,8 +127,6 @@ class RunControl:
 
     def step_done(self) -> None:
         """Report that the tick requested by `next_action` has been carried out."""
-        if self._undisturbed:
-            return
         with self._changed:
             if self._steps > 0:
                 self._steps -= 1
@@ -149,13 +141,9 @@ class RunControl:
         self._wake()
 
     def _change(self, **state: object) -> None:
-        """Change attributes, and note whether ticks follow each other without anybody's asking for anything."""
         with self._changed:
             for name, value in state.items():
                 setattr(self, name, value)
-            self._undisturbed = not (
-                self.held or self._paused or self._reset or self.stopped or self._steps
-            )
             self._changed.notify_all()
 
     def _wait_until(self, done: Callable[[], bool], timeout: float) -> bool:
@@ -220,7 +208,6 @@ class Ticks:
                 joints, plant.joint_names, channel.subscribe_topic, once
             ).decode
             self._complain: Callable[[str], None] = once.say
-            otherwise = "; with time_mode free_running a clock of its own is accepted"
             timeout = parameters.command_age_limit
             hold: type[HeldCommand] = NewestCommand
         else:
@@ -230,7 +217,6 @@ class Ticks:
             self._encode_states = JointStateCodec(motors).encoder(*plant.motor_states())
             self._decode = lambda raw: commands.decode(raw)[3]
             self._complain = partial(throttled.say, "command")
-            otherwise = ""
             timeout = parameters.command_timeout
             hold = HeldCommand
         self.held = hold(
@@ -242,9 +228,7 @@ class Ticks:
             self._complain,
             self.control.interrupting,
         )
-        self.lockstep = LockstepSimulation(
-            channel, log.info, lambda text: self._complain(text + otherwise), self._usable
-        )
+        self.lockstep = LockstepSimulation(channel, log.info, self._complain, self._usable)
 
     @property
     def next_stamp_ns(self) -> int:

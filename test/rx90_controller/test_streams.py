@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from servo_rig import Rig
 
-from rx90_common.description.coupling import to_motor
 from rx90_controller.servo.servo import MotorStates
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
 from rx90_controller.trajectory.request import ResultCode, State
@@ -40,7 +39,7 @@ class Arm(Rig):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self.limits, self._gear = self.cs7b.trajectory.limits, setup.drives.gear
+        self.limits, self._drives = self.cs7b.trajectory.limits, setup.drives
         self.options = StreamOptions()
         self.loop.hold(self.states(0))
         self.setpoints: list[Array] = []
@@ -52,8 +51,7 @@ class Arm(Rig):
 
     def states(self, tick: int) -> MotorStates:
         """Return the states of a tick."""
-        motors = np.empty(6)
-        to_motor(self._gear, np.ascontiguousarray(self.cs7b.setpoint[0]), motors)
+        motors = self._drives.gear * (self._drives.turning.turns @ self.cs7b.setpoint[0])
         return MotorStates(tick * self.period, motors, np.zeros(6))
 
     def play(self, deliveries: Sequence[Delivery], until: float) -> Array:

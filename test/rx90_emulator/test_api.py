@@ -162,12 +162,12 @@ def test_the_api_warns_of_what_rx90_run_announces() -> None:
     """
     hot = dict.fromkeys(("highest", "start", "ambient"), 41.0)
     warm = full_friction.PARTS["temperature"].replaced(capacity=0.01, resistance=1e3, **hot)
-    setup = rx.load_setup(rates=rx.Rates(temperature_hz=10))
+    setup = rx.load_setup()
     first, *others = setup.friction.elements
     elements = (first.replaced(omega_d=math.inf, temperature=warm), *others)
     setup = dataclasses.replace(setup, friction=dataclasses.replace(setup.friction, elements=elements))
     with pytest.warns(rx.Rx90Warning) as caught:
-        run = rx.simulate(setup, points(), duration=0.3)
+        run = rx.simulate(setup, points(), duration=1.3)
     lines = [str(one.message) for one in caught]
     assert len(lines) == 2
     assert re.search(r"joint_1\.c1 is 100 Nm s/rad, not passive from 1 rad/s on", lines[0])

@@ -285,7 +285,6 @@ def test_publishers_that_are_not_heard_are_told_once() -> None:
         resolve_topic_name=lambda name: f"/{name}",
         create_timer=lambda *_: None,
         get_publishers_info_by_topic=lambda topic: publishers.get(topic, []),
-        get_subscriptions_info_by_topic=lambda _: [],
     )
     said: list[str] = []
     watch = CommandWatch(node, "joint", OnceLog(said.append, lambda: 0.0))

@@ -162,7 +162,7 @@ def test_power_is_the_same_at_motors_and_joints(request: pytest.FixtureRequest, 
         ({"command_interface": "joint", "command_rate": 300}, "command_rate is 300 Hz; accepted: a rate that divides"),
         (
             {"command_interface": "joint", "command_rate": 10, "time_mode": "free_running"},
-            "command_age_limit is 0.1 s; accepted: at least two periods of the commands, 0.2 s",
+            "command_age_limit is 0.1; accepted: at least two periods of the commands, 0.2 s",
         ),
     ],
 )

@@ -21,9 +21,9 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
-from rx90_common.exchange.client_node import ClientNode
+from rx90_common.exchange.client_node import ClientNode, spoken
 from rx90_controller.node.trajectory_client import TrajectoryClient
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_sim.node.simulation_client import SimulationClient
@@ -65,6 +65,26 @@ class _Executor(SingleThreadedExecutor):
                 heard.append(taken[0])
 
 
+class Simulation(SimulationClient):
+    """All services of a simulation node."""
+
+    def __init__(self, client: ClientNode) -> None:
+        super().__init__(client)
+        self._asking = client
+
+    def step(self) -> None:
+        """Pause, and run `step_ticks` ticks, a parameter of the simulation."""
+        self._trigger("step")
+
+    def reset(self) -> None:
+        """Begin again at tick 0."""
+        self._trigger("reset")
+
+    def _trigger(self, name: str) -> None:
+        service = f"rx90_sim/{name}"
+        spoken(service)(self._asking.call(Trigger, service, Trigger.Request()))
+
+
 class Client:
     """A node that calls services and keeps what it hears."""
 
@@ -75,7 +95,7 @@ class Client:
         self._executor = _Executor(self._context)
         self._executor.add_node(self.node)
         self.asking = ClientNode(self.node, self._executor, TIMEOUT, lambda _: None, lambda: None)
-        self.simulation = SimulationClient(self.asking)
+        self.simulation = Simulation(self.asking)
 
     def close(self) -> None:
         """Leave the domain."""

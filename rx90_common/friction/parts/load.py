@@ -152,30 +152,6 @@ def fill_load(record: Any, parts: Sequence[LoadPart | None], _: Surroundings) ->
 
 
 @inlined
-def load_torques(
-    part: Any, transmitted: Lanes, velocity: Lanes, delta: Lanes, width: int
-) -> tuple[Lanes, Lanes]:
-    """Return the increase of Coulomb and static torque, Nm, by a load, Nm, at a velocity, rad/s.
-
-    A share with a Stribeck velocity of its own counts as Coulomb torque, as large as it is at this velocity.
-    """
-    driving = transmitted * velocity >= 0.0
-    size = absolute(transmitted)
-    coulomb = size * select(driving, load(part.coulomb[0], width), load(part.coulomb[1], width))
-    stribeck = select(driving, load(part.stribeck[0], width), load(part.stribeck[1], width))
-    quadratic = select(driving, load(part.quadratic[0], width), load(part.quadratic[1], width))
-    rise = size * (stribeck + size * quadratic)
-    if part.fades:
-        inverse = load(part.inverse_omega_s, width)
-        own = inverse > 0.0
-        coulomb = coulomb + select(
-            own, rise * exponential(-power(absolute(velocity) * inverse, delta)), 0.0
-        )
-        rise = select(own, 0.0, rise)
-    return coulomb, coulomb + rise
-
-
-@inlined
 def loaded(
     parts: Any,
     state: Any,
@@ -185,9 +161,24 @@ def loaded(
     ahead: float,
     width: int,
 ) -> Present:
-    """Add the load's share of Coulomb and static torque."""
+    """Add the load's share of Coulomb and static torque.
+
+    A share with a Stribeck velocity of its own counts as Coulomb torque, as large as it is at this velocity.
+    """
+    part = parts.load
     transmitted = fma(ahead, load(state.load.slope, width), load(state.load.torque, width))
-    coulomb, static = load_torques(parts.load, transmitted, velocity, present.delta, width)
+    driving = transmitted * velocity >= 0.0
+    size = absolute(transmitted)
+    coulomb = size * select(driving, load(part.coulomb[0], width), load(part.coulomb[1], width))
+    stribeck = select(driving, load(part.stribeck[0], width), load(part.stribeck[1], width))
+    quadratic = select(driving, load(part.quadratic[0], width), load(part.quadratic[1], width))
+    rise = size * (stribeck + size * quadratic)
+    if part.fades:
+        inverse = load(part.inverse_omega_s, width)
+        fades = inverse > 0.0
+        decay = exponential(-power(absolute(velocity) * inverse, present.delta))
+        coulomb = coulomb + select(fades, rise * decay, 0.0)
+        rise = select(fades, 0.0, rise)
     return Present(
         present.tau_c,
         present.tau_s,
@@ -196,7 +187,7 @@ def loaded(
         present.c2,
         present.scale,
         present.coulomb + coulomb,
-        present.static + static,
+        present.static + (coulomb + rise),
     )
 
 

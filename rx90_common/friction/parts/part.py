@@ -31,11 +31,6 @@ class FrictionPart(FileModel):
         return 1.0
 
     @property
-    def lowers_friction(self) -> bool:
-        """Return whether the part may leave less of Coulomb and static torque than the element has."""
-        return self.least_factor < 1.0
-
-    @property
     def steepest(self) -> float:
         """Return the largest growth of the sliding torque with the speed that the part may give, Nm s/rad."""
         return 0.0

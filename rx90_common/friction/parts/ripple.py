@@ -128,18 +128,6 @@ def fill_ripple(
 
 
 @inlined
-def ripple_factor(part: Any, angle: Lanes, width: int) -> Lanes:
-    """Return the number that Coulomb and static torque are multiplied with at the elements' angles, rad."""
-    factor = 0.0 * angle + 1.0
-    for k in range(part.terms):
-        sine, cosine = sine_cosine(load(part.harmonic[k], width) * angle)
-        factor = fma(
-            load(part.cosine[k], width), cosine, fma(load(part.sine[k], width), sine, factor)
-        )
-    return factor
-
-
-@inlined
 def rippled(
     parts: Any,
     _state: Any,
@@ -149,8 +137,15 @@ def rippled(
     _ahead: float,
     width: int,
 ) -> Present:
-    """Scale Coulomb and static torque."""
-    return scaled(present, ripple_factor(parts.ripple, angle, width))
+    """Scale Coulomb and static torque by the elements' angles, rad."""
+    part = parts.ripple
+    factor = 0.0 * angle + 1.0
+    for k in range(part.terms):
+        sine, cosine = sine_cosine(load(part.harmonic[k], width) * angle)
+        factor = fma(
+            load(part.cosine[k], width), cosine, fma(load(part.sine[k], width), sine, factor)
+        )
+    return scaled(present, factor)
 
 
 RIPPLE = Part((RipplePart,), ripple_dtype, fill_ripple, present=rippled)

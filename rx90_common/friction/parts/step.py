@@ -12,11 +12,11 @@ import numpy as np
 
 from rx90_common.base.arrays import record_type
 from rx90_common.friction.compiled_elements import (
+    Elements,
     bristles_energy,
     bristles_step,
     bristles_torque,
     load_elements,
-    with_present,
 )
 from rx90_common.friction.element import PARTS, FrictionElement
 from rx90_common.friction.parts.part import Present, Surroundings
@@ -133,8 +133,7 @@ def effective_elements(
         0.0 * angle, 0.0 * angle,
     )  # fmt: skip
     present = _presented(parts, state, own, angle, velocity, ahead, width)
-    return with_present(
-        element,
+    return Elements(
         (
             fma(present.tau_c[0], present.scale, present.coulomb),
             fma(present.tau_c[1], present.scale, present.coulomb),
@@ -144,7 +143,12 @@ def effective_elements(
             fma(present.tau_s[1], present.scale, present.static),
         ),
         present.inverse_omega_s,
+        element.delta,
+        element.c0,
+        element.c1,
         present.c2,
+        element.inverse_omega_d,
+        element.alpha,
     )
 
 

@@ -112,11 +112,6 @@ class TemperaturePart(FrictionPart):
         return self
 
     @property
-    def lowers_friction(self) -> bool:
-        """Return whether static friction changes with the temperature."""
-        return self.speed_slope != 0.0 or self.static_slope != 0.0
-
-    @property
     def viscous_range(self) -> tuple[float, float]:
         """Return the least and the largest number that the viscous friction of a run is multiplied with."""
         rise = np.array([self.highest, min(self.start, self.ambient)]) - self.reference

@@ -25,22 +25,22 @@ AXIS_1 = '<child link="link_1"/>\n    <axis xyz="0 0 1"/>'
 
 CASES = {
     "broken XML": ("</robot>", "", "not well-formed XML"),
-    "another root": ("robot", "model", "root element is 'model'"),
+    "another root": ("robot", "model", "Could not find the 'robot' element"),
     "xacro": ('<link name="flange"/>', XACRO, "expand it with xacro"),
     "prismatic": (JOINT_5, '<joint name="joint_5" type="prismatic">', "'joint_5' type is 'prismatic'"),
     "side branch": ('<parent link="link_5"/>', '<parent link="link_4"/>', "on a side branch"),
     "two roots": ('<parent link="base_link"/>\n    <child link="link_1"/>', '<parent link="flange"/>'
-                  '<child link="link_1"/>', "a loop|root links"),
-    "unknown parent": ('<parent link="link_5"/>', '<parent link="link_7"/>', "parent link is 'link_7'"),
-    "name twice": ('<link name="flange"/>', '<link name="link_4"/>', "link name is 'link_4'"),
+                  '<child link="link_1"/>', "joint 'joint_1' hangs at no link|joint 'flange_fixed' hangs"),
+    "unknown parent": ('<parent link="link_5"/>', '<parent link="link_7"/>', r"link_7\] of joint \[joint_6\] not"),
+    "name twice": ('<link name="flange"/>', '<link name="link_4"/>', "link 'link_4' is not unique"),
     "name that turns the text": ('<robot name="rx90b"', '<robot name="a\u202eb"', "'robot' is 'a"),
-    "zero mass": (LINK_5, '<mass value="0"/>', "'link_5' inertial mass is 0.0"),
+    "zero mass": (LINK_5, '<mass value="0"/>', "'joint_5' moves no mass"),
     "not definite by products": (INERTIA_5, INERTIA_5.replace('ixy="0"', 'ixy="0.003"'), "positive definite"),
     "triangle": (INERTIA_5, INERTIA_5.replace("0.0008", "0.0080"), "any two add up"),
-    "one limit missing": (LIMIT_5, LIMIT_5.replace("effort", "force"), "'joint_5' limit effort is missing"),
+    "one limit missing": (LIMIT_5, LIMIT_5.replace("effort", "force"), r"joint \[joint_5\]: limit has no effort"),
     "limits crossed": (LIMIT_5, LIMIT_5.replace('"-1.83', '"3.83'), "'joint_5' limit lower is 3.83"),
-    "axis zero": (AXIS_1, AXIS_1.replace("0 0 1", "0 0 0"), "'joint_1' axis is '0 0 0'"),
-    "origin": ('<origin xyz="0 0 0.420"/>', '<origin xyz="0 0 high"/>', "'joint_1' origin xyz is '0 0 high'"),
+    "axis zero": (AXIS_1, AXIS_1.replace("0 0 1", "0 0 0"), "'joint_1': axis is 0 0 0"),
+    "origin": ('<origin xyz="0 0 0.420"/>', '<origin xyz="0 0 high"/>', r"\[high\].* joint \[joint_1\]"),
 }  # fmt: skip
 
 
@@ -69,7 +69,7 @@ def test_a_link_without_any_mass_is_refused(shipped_files: RobotFiles, tmp_path:
     assert bare != text
     file = tmp_path / "massless.urdf"
     file.write_text(bare, encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"link 'link_3' inertial is None; accepted: mass and inertia"):
+    with pytest.raises(ConfigError, match=r"joint 'joint_3' moves no mass"):
         load_robot(file)
 
 
@@ -85,9 +85,6 @@ def test_what_does_not_move_may_have_any_inertia(shipped_files: RobotFiles, tmp_
     urdf.write_text(text.replace("</robot>", antenna.format("base_link")), encoding="utf-8")
     for got, want in zip(load_robot(urdf).chain, load_robot(shipped_files.urdf).chain, strict=True):
         assert np.array_equal(got, want)
-    urdf.write_text(text.replace("</robot>", antenna.format("link_2")), encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"link 'antenna' inertial inertia is .*; accepted: a positive definite"):
-        load_robot(urdf)
 
 
 @pytest.mark.parametrize("content", [None, b"", b"\xff\xfe\x00<", b"no xml at all"])
@@ -165,21 +162,14 @@ def test_what_a_urdf_refers_to_is_never_fetched(case: str, shipped_files: RobotF
             server.accept()
 
 
-@pytest.mark.parametrize(
-    ("key", "value"), [("friction", "-0.39"), ("friction", "much"), ("damping", "nan"), ("damping", "-1")]
-)
-def test_dynamics_that_nobody_can_read_are_told_with_their_joint(
-    tmp_path: Path, shipped_files: RobotFiles, key: str, value: str
-) -> None:
-    """Where Pinocchio would refuse <dynamics> without saying of which joint, both readers name joint and value."""
+@pytest.mark.parametrize(("key", "value"), [("friction", "-0.39"), ("damping", "nan")])
+def test_dynamics_do_not_count(tmp_path: Path, shipped_files: RobotFiles, key: str, value: str) -> None:
+    """Also values of <dynamics> that Pinocchio would refuse: friction is in the friction file."""
     text = shipped_files.urdf.read_text(encoding="utf-8")
     file = tmp_path / "arm.urdf"
-    before, joint, behind = text.partition('<joint name="joint_3"')
-    file.write_text(before + joint + behind.replace("<axis", f'<dynamics {key}="{value}"/><axis', 1), encoding="utf-8")
-    for read in (load_robot, lambda urdf: joint_model(urdf, None)):
-        with pytest.raises(Rx90Error) as refusal:
-            read(file)
-        assert f"arm.urdf: joint 'joint_3' dynamics {key} is '{value}'; accepted: a finite number" in str(refusal.value)
+    file.write_text(text.replace("<axis", f'<dynamics {key}="{value}"/><axis', 3), encoding="utf-8")
+    assert joint_model(file, None).nv == 6
+    assert load_robot(file).urdf == load_robot(shipped_files.urdf).urdf
 
 
 @pytest.mark.parametrize(

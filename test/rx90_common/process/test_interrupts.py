@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import re
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import pytest
-from processes import wait_until
 
 from rx90_common.process.interrupts import StopRequest, deferred_interrupts, install_deferred_sigint, stop_request
 
@@ -79,69 +74,6 @@ def test_an_interrupt_where_it_would_get_lost_comes_later() -> None:
             wait()
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-_BUSY = """
-import hashlib, os, subprocess, sys, threading, time
-from rx90_common.process.children import ChildProcess, kill_all
-from rx90_common.process.interrupts import ends_within
-def last():
-    kill_all()
-    print("gave up", flush=True)
-def compute(iterations):
-    hashlib.pbkdf2_hmac("sha256", b"", b"", iterations)  # in C, without the lock
-stands_still = []
-def stuck():
-    while not stands_still:  # on a busy machine the main thread may be on its way there
-        time.sleep(0.01)
-    kill_all()
-    print("cut off", flush=True)
-def wait_for_ever(lock):
-    stands_still.append(True)
-    lock.acquire()
-with ends_within(0.1, 0.1 if "stuck" in sys.argv else 60.0, last, stuck) as start:
-    child = ChildProcess("child", ["sleep", "600"])
-    if "over" in sys.argv:
-        start.over()
-    try:
-        print(child.pid, flush=True)
-        while True:
-            compute(1000 if "over" in sys.argv else 10**9)
-    except KeyboardInterrupt:
-        if "stuck" in sys.argv:
-            lock = threading.Lock()
-            lock.acquire()
-            wait_for_ever(lock)
-        if "over" in sys.argv:
-            raise
-        compute(10**9)  # it came before the compiled code
-"""
-
-
-@pytest.mark.usefixtures("warm")
-@pytest.mark.parametrize(
-    ("words", "code", "said"),
-    [
-        ([], 130, r"gave up\n"),
-        (["over"], -signal.SIGINT, ""),
-        (["over", "stuck"], 3, r"cut off\n"),
-    ],
-)
-def test_it_ends_however_busy_it_is(words: list[str], code: int, said: str) -> None:
-    """Ctrl-C ends a start in compiled code within its time, with 130 and its children; once it is over, as usual."""
-    with subprocess.Popen(
-        [sys.executable, "-c", _BUSY, *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    ) as process:
-        assert process.stdout is not None
-        child = int(process.stdout.readline())
-        process.send_signal(signal.SIGINT)
-        rest = process.stdout.read()  # until the end
-        assert process.wait() == code
-        assert re.fullmatch(said, rest)
-    if words == ["over"]:
-        os.kill(child, signal.SIGKILL)
-    else:
-        wait_until(lambda: not Path(f"/proc/{child}").exists(), "the end of the child")
 
 
 @pytest.fixture

@@ -14,7 +14,6 @@ import pytest
 from benchmarks.any_arm import write_arm
 from benchmarks.exported_arm import compare
 from rx90_common.base.arrays import Array
-from rx90_common.description.coupling import to_motor_torque
 from rx90_common.description.drives import COLD, Cogging
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.export.export import export_robot
@@ -48,9 +47,7 @@ def torques(setup: Setup, scenario: str) -> Array:
     mujoco.mj_forward(model, data)
     joint = data.qfrc_bias - data.qfrc_spring
     static = np.array([e.tau_s.positive for e in setup.friction.elements[:6]])
-    hold, break_away = np.empty(6), np.empty(6)
-    to_motor_torque(setup.drives.gear, joint, hold)
-    to_motor_torque(setup.drives.gear, static, break_away)
+    hold, break_away = ((setup.drives.turning.joint_turns.T @ torque) / setup.drives.gear for torque in (joint, static))
     shapes = {
         "sticking": 0.5 * np.minimum(1.0, time / 0.1),
         "break-away": 2.5 * time,
