@@ -6,12 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import ConfigError, check_type, write_error
 from rx90_common.base.quoting import aligned, listed, plain, quoted
 from rx90_common.friction.friction_file import FrictionFile
@@ -22,7 +20,7 @@ from rx90_emulator.export.fit import FrictionFit, fit_friction, speeds_up_to
 from rx90_emulator.export.targets import TARGETS, Target
 from rx90_emulator.loop.setup import Arm
 
-REPORT = "export.yaml"
+REPORT = "export.txt"
 """The file beside those of the simulator that states the errors of the export."""
 
 _GRID = 1_000_000  # most combinations of the speeds of joints that move at once
@@ -86,33 +84,6 @@ class Export:
             for x, names in whose.items()
         ]
         return "\n".join(lines)
-
-    def report(self) -> str:
-        """Return the same as YAML."""
-        elements = {
-            fit.name: {
-                "speeds": [float(fit.speeds.min()), float(fit.speeds.max())],
-                "largest_difference": fit.largest,
-                "rms_difference": fit.rms,
-                "more_while_others_move": fit.coupled,
-                "largest_while_others_move": fit.worst,
-                "break_away": {"robot": list(fit.break_away[0]), "exported": list(fit.break_away[1])},
-                "presliding_stiffness": {"robot": fit.stiffness[0], "exported": _finite(fit.stiffness[1])},
-                "exported": {
-                    key: list(value) if isinstance(value, tuple) else _finite(value)
-                    for key, value in vars(fit.law).items()
-                },
-                "lost": list(fit.lost),
-            }
-            for fit in self.fits
-        }  # fmt: skip
-        head = f"# What {self.target.name} holds of this robot's friction: Nm, rad/s, Nm/rad, joint side.\n"
-        content: dict[str, Any] = {"target": self.target.name, "speeds": self.speeds}
-        return head + yaml_text(content | {"lost": list(self.lost), "friction": elements})
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _both(values: Sequence[float]) -> str:
@@ -316,5 +287,5 @@ def write_export(export: Export, folder: Path | str) -> None:
         raise write_error(folder, error) from error
     with atomic_files(folder) as (place,):
         place.mkdir()
-        for name, text in {**export.files, REPORT: export.report()}.items():
+        for name, text in {**export.files, REPORT: export.text}.items():
             (place / name).write_text(text, encoding="utf-8")
