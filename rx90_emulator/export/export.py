@@ -152,14 +152,7 @@ def _identified_ranges(arm: Arm) -> dict[str, tuple[float, float]]:
     file = arm.friction.file
     found = {} if file is None else FrictionFile.read(file).identification or {}
     try:
-        fits = found.get("fit") or {}
-        bands = {
-            name: one["residual_by_speed"]
-            for name, one in fits.items()
-            if one.get("residual_by_speed")
-        }
-        ranges = {name: (float(one[-1][1]), float(one[0][0])) for name, one in bands.items()}
-        return ranges | {
+        return {
             name: (float(high), float(low))
             for name, (low, high) in (found.get("speeds") or {}).items()
         }

@@ -130,7 +130,7 @@ def test_speeds_are_those_of_the_identification(shipped: Setup, tmp_path: Path) 
     """Where the friction file says at which speeds an element was identified, it is fitted over these."""
     assert shipped.friction.file is not None
     file = rx.FrictionFile.read(shipped.friction.file)
-    bands = {"fit": {"joint_2": {"residual_by_speed": [[0.004, 0.1, 0.0], [0.2, 1.3, 0.0]]}}}
+    bands = {"speeds": {"joint_2": [0.004, 1.3]}}
     path = tmp_path / "friction.yaml"
     path.write_text(file.replaced(identification=bands).text(), encoding="utf-8")
     fits = rx.export_robot(rx.load_setup(friction=path), "mujoco").fits
