@@ -160,10 +160,10 @@ def _correction(plan: LinePlan, options: argparse.Namespace) -> Correction | Non
 
     found = load_correction(options.correction)
     correction = found.fitting(setup_of(options), plan)
-    worst = min(found.last_worst(found.measurements[-1]))
+    worst = min(found.last_worst(found.head.seen[-1]))
     _say(
         f"correction of {options.correction}: path error {worst * 1e3:.4f} mm when it was learned "
-        f"({found.measurements[-1]})"
+        f"({found.head.seen[-1]})"
     )
     return correction
 
