@@ -12,6 +12,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,14 @@ from rx90_common.report.style import COLOURS
 from rx90_controller.lines.task import LineTask, TrapezoidalProfile, load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
-from rx90_emulator.correction.learning import Learner, Measured, learn_correction, run_corrected
+from rx90_emulator.correction.learning import (
+    ENGINE,
+    Learner,
+    Measured,
+    learn,
+    learn_correction,
+    run_corrected,
+)
 from rx90_emulator.correction.path import CorrectablePath
 from rx90_emulator.loop.line import plan_line
 from rx90_emulator.loop.parameters import with_parameters
@@ -114,12 +122,15 @@ def rubbing(setup: Setup, factor: float) -> Setup:
     return replace(setup, friction=replace(setup.friction, elements=elements))
 
 
-def errors(
-    setup: Setup, path: CorrectablePath | LineTask, trials: int, **options: Correction | Setup
-) -> Array:
+def errors(setup: Setup, path: CorrectablePath | LineTask, trials: int) -> Array:
     """Return the largest path errors of the trials, m."""
-    learned = learn_correction(setup, path, trials, **options)  # type: ignore[arg-type]
+    learned = learn_correction(setup, path, trials)
     return np.array([trial.worst for trial in learned.trials])
+
+
+def _played(arm: Setup, path: CorrectablePath, correction: Correction) -> Measured:
+    """Return the errors of an arm along a path with a correction."""
+    return run_corrected(arm, path, correction)[1]
 
 
 def other_arms(setup: Setup, task: LineTask) -> dict[str, float]:
@@ -133,7 +144,9 @@ def other_arms(setup: Setup, task: LineTask) -> dict[str, float]:
     for factor in FACTORS:
         arm = rubbing(setup, factor)
         plain = errors(arm, plan, 0)
-        moved = errors(arm, plan, 1, model=setup, previous=nominal)
+        learner = Learner(setup, plan, previous=nominal.offsets)
+        play = partial(_played, arm, plan)
+        moved = [trial.worst for trial in learn(learner, play, 1, ENGINE).trials]
         name = f"correction_friction_{100.0 * factor:.0f}"
         found |= {f"{name}_plain": plain[0], f"{name}_moved": moved[0], f"{name}_next": moved[1]}
         run, _ = run_corrected(arm, plan, nominal)

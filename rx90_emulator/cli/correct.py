@@ -178,7 +178,7 @@ def _learned(
     count = options.trials + 1
     with progress_bar("trials") as progress:
         return learn(
-            learner, play, options.trials, where, lambda _: progress(len(learner.trials), count)
+            learner, play, options.trials, where, lambda: progress(len(learner.trials), count)
         )
 
 
@@ -234,7 +234,7 @@ def _show(options: argparse.Namespace) -> None:
     print(f"robot {plain(head.robot)}, {head.payload.mass:.4g} kg on the last joint")
     print(f"path of {head.path.duration:.3f} s, up to {head.path.speed * 1e3:.4g} mm/s")
     print(f"learned by {plain(head.method)}")
-    for number, (how, worst) in enumerate(zip(found.measurements, found.worst, strict=True)):
+    for number, (how, worst) in enumerate(zip(head.seen, head.worst, strict=True)):
         print(f"trial {number}, {how}: worst {worst * 1e3:.4f} mm")
     rate = float(np.abs(np.diff(offsets, axis=0)).max(initial=0.0)) / period
     print(f"largest offset {float(np.abs(offsets).max()):.3g} rad, fastest change {rate:.3g} rad/s")
@@ -276,7 +276,7 @@ def _precompensate(options: argparse.Namespace) -> None:
     smoothed = (
         f"{after * 1e3:.4f} mm with the offsets below {cutoff:g} Hz, {before * 1e3:.4f} mm without"
     )
-    learned = f"{min(found.worst) * 1e3:.4f} mm"
+    learned = f"{min(found.head.worst) * 1e3:.4f} mm"
     print(
         f"worst path error on the engine: {smoothed}; all offsets, when they were learned: {learned}"
     )

@@ -100,23 +100,13 @@ class CorrectionFile:
     correction: Correction
     best: Array
 
-    @property
-    def measurements(self) -> tuple[str, ...]:
-        """Return for each trial by what and where it was measured, see Measurement."""
-        return self.head.seen
-
-    @property
-    def worst(self) -> tuple[float, ...]:
-        """Return the largest distance from the path by trial, m."""
-        return self.head.worst
-
     def last_worst(self, how: str) -> tuple[float, ...]:
         """Return the worst distances of the last trials, m, as far back as all of them were measured in this way."""
         first = max(
-            (k + 1 for k, measurement in enumerate(self.measurements) if measurement != how),
+            (k + 1 for k, measurement in enumerate(self.head.seen) if measurement != how),
             default=0,
         )
-        return self.worst[first:]
+        return self.head.worst[first:]
 
     def fitting(self, setup: Setup, path: CorrectablePath) -> Correction:
         """Return the correction for an arm and a path; warn if the payload is another one.
@@ -160,8 +150,8 @@ def write_correction(
     worst = [trial.worst for trial in learned.trials]
     measurements = [learned.measurement] * len(learned.trials)
     if earlier is not None:
-        worst = [*earlier.worst, *worst]
-        measurements = [*earlier.measurements, *measurements]
+        worst = [*earlier.head.worst, *worst]
+        measurements = [*earlier.head.seen, *measurements]
     buffer = io.BytesIO()
     np.savez_compressed(buffer, offsets=learned.correction.offsets, best=learned.best_offsets)
     options = [

@@ -293,9 +293,12 @@ class LearnedCorrection:
 
 
 def learn(
-    learner: Learner, play: Callable[[Correction], Measured], trials: int, where: str,
-    on_trial: Callable[[TrialRecord], None] | None,
-) -> LearnedCorrection:  # fmt: skip
+    learner: Learner,
+    play: Callable[[Correction], Measured],
+    trials: int,
+    where: str,
+    on_trial: Callable[[], None] = lambda: None,
+) -> LearnedCorrection:
     """Play and learn: one trial with the initial correction, then `trials` more, each learned from the previous one.
 
     Args:
@@ -303,7 +306,7 @@ def learn(
         play: runs one trial.
         trials: number of trials after the first.
         where: they run, ENGINE or NODES.
-        on_trial: called with each trial.
+        on_trial: called behind each trial.
 
     If a later trial fails, for example with an offset beyond the limits, learning ends with the best correction so far.
     """
@@ -317,8 +320,7 @@ def learn(
             if not learner.trials:
                 raise
             remark = str(error)
-        if on_trial is not None:
-            on_trial(learner.trials[-1])
+        on_trial()
         if remark:
             break
     return LearnedCorrection.of(learner, where, learner.best, remark)
@@ -361,24 +363,18 @@ def learn_correction(
     trials: int = 4,
     method: NormOptimal | None = None,
     *,
-    model: Setup | None = None,
     tip: bool = False,
-    noise: float = NOISE,
     previous: Correction | None = None,
-    on_trial: Callable[[TrialRecord], None] | None = None,
 ) -> LearnedCorrection:
     """Learn a correction on the engine.
 
     Args:
-        setup: the arm that runs the trials.
+        setup: the arm that runs the trials, also in the method's model.
         path: a task or a path, a planned one, or any trajectory as a TrajectoryPath.
         trials: number of trials after the first one, which is without correction, or with `previous`.
         method: NormOptimal() by default.
-        model: the arm in the method's model; by default `setup`.
         tip: learn from the tip's error, as a sensor at the tip measures it, instead of the encoders'.
-        noise: growth of the worst distance from trial to trial that counts as noise, m.
         previous: a correction to continue from.
-        on_trial: called with each trial.
 
     Raises:
         ConfigError: for values that are not accepted.
@@ -387,22 +383,13 @@ def learn_correction(
     """
     check_type(setup=(setup, Setup))
     planned = plan_path(setup, path) if isinstance(path, (LineTask, Path)) else path
-    before = None
+    offsets = None
     if previous is not None:
-        check_correction(model or setup, planned.points, previous, "the correction")
-        before = previous.offsets
-    learner = Learner(model or setup, planned, method, tip=tip, noise=noise, previous=before)
-    trajectory = (
-        learner.nominal
-        if model is None
-        else TrajectoryPath.of(setup, planned.points, planned.counted)
-    )
+        check_correction(setup, planned.points, previous, "the correction")
+        offsets = previous.offsets
+    learner = Learner(setup, planned, method, tip=tip, previous=offsets)
     return learn(
-        learner,
-        lambda played: run_corrected(setup, trajectory, played)[1],
-        trials,
-        ENGINE,
-        on_trial,
+        learner, lambda played: run_corrected(setup, learner.nominal, played)[1], trials, ENGINE
     )
 
 

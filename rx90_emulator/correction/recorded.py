@@ -96,13 +96,12 @@ def laid_under(
             f"{what}: from {times[0]:.6g} to {times[-1]:.6g} s, the path takes from {begin:.6g} to {end:.6g} s of it; "
             "accepted: a record of all of the path"
         )
-    within = times[
-        max(0, np.searchsorted(times, begin, side="right") - 1) : np.searchsorted(times, end) + 1
-    ]
-    steps = np.diff(within)
-    if steps.max(initial=0.0) > max(_GAP * float(np.median(np.diff(times))), _GAP * period):
+    steps = np.diff(times)
+    inside = np.where((times[1:] > begin) & (times[:-1] < end), steps, 0.0)
+    gap = int(np.argmax(inside))
+    if inside[gap] > _GAP * max(float(np.median(steps)), period):
         raise ConfigError(
-            f"{what}: nothing for {steps.max():.3g} s from {within[np.argmax(steps)]:.6g} s on, within the path; "
+            f"{what}: nothing for {inside[gap]:.3g} s from {times[gap]:.6g} s on, within the path; "
             "accepted: a record without gaps"
         )
     found = np.column_stack([np.interp(rows, times, column) for column in values.T])

@@ -123,35 +123,6 @@ def _keep_law(gear: Any, law: Any, setpoint: Array, row: int, slow: SlowSeries) 
     store(slow.details[row, 2], load(law.current, n))
 
 
-@kernel
-def peaks_and_work(
-    joints: Array, friction: Array, tracking: Array, period: float, peaks: Array, work: Array
-) -> None:
-    """Find the peaks of velocity, torque and tracking error, shape (3, joints), and the friction's work, J, shape (e,).
-
-    Args:
-        joints: rows of joint states, shape (n, 3, joints).
-        friction: rows of friction states, shape (n, 3, e).
-        tracking: rows of tracking errors, shape (n, 3, joints).
-        period: from one row to the next, s.
-        peaks: raised in place.
-        work: added to in place.
-    """
-    for n in range(len(joints)):
-        for j in range(peaks.shape[1]):
-            values = joints[n, 1, j], joints[n, 2, j], tracking[n, 0, j]
-            for k in range(3):
-                if not abs(values[k]) <= peaks[k, j]:  # NaN stays
-                    peaks[k, j] = abs(values[k])
-        if n > 0:
-            for e in range(len(work)):
-                power = (
-                    friction[n, 1, e] * friction[n, 2, e]
-                    + friction[n - 1, 1, e] * friction[n - 1, 2, e]
-                )
-                work[e] += period * power / 2.0
-
-
 def simulate(
     setup: Setup,
     points: TrajectoryPoints,

@@ -141,7 +141,6 @@ def run_line(
     task: LineTask,
     *,
     start_time: float = 0.0,
-    substeps: int | None = None,
     record_fast: bool = False,
     correction: Correction | None = None,
 ) -> LineRun:
@@ -151,7 +150,6 @@ def run_line(
         setup: robot, drives, friction, controller, rates.
         task: the line.
         start_time: when the trajectory, that is the rest before the line, starts, s.
-        substeps: plant steps in a tick; None for as many as the arm needs, usually 1.
         record_fast: also keep the series on base ticks.
         correction: offsets of the position set-points, as `learn_correction` finds them.
 
@@ -166,7 +164,6 @@ def run_line(
         setup,
         task,
         start_time=start_time,
-        substeps=substeps,
         record_fast=record_fast,
         correction=correction,
     )
@@ -177,7 +174,6 @@ def run_path(
     path: TipTask,
     *,
     start_time: float = 0.0,
-    substeps: int | None = None,
     record_fast: bool = False,
     correction: Correction | None = None,
 ) -> LineRun:
@@ -193,9 +189,7 @@ def run_path(
     points = plan.points
     command = MotionCommand(setup.rates.start_tick(start_time), points, correction)
     end = start_time + float(points.times[-1])
-    run = simulate_commands(
-        setup, (command,), points.position[0], end, substeps=substeps, record_fast=record_fast
-    )
+    run = simulate_commands(setup, (command,), points.position[0], end, record_fast=record_fast)
     task = path if isinstance(path, LineTask) else plan.task
     return LineRun(**vars(run), task=task, start_time=start_time)
 

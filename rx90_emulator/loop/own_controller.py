@@ -119,7 +119,6 @@ def run_controller(
     initial_position: ArrayLike | None = None,
     *,
     command_rate: int | None = None,
-    substeps: int | None = None,
 ) -> ControllerRun:
     """Run an arm with a controller of one's own in this process, without ROS.
 
@@ -130,7 +129,6 @@ def run_controller(
         duration: simulated time, s.
         initial_position: joint positions at rest, rad, shape (n,); by default all zeros.
         command_rate: how often it is called, Hz; by default as often as the position loop, 1 kHz.
-        substeps: plant steps in a tick; None for as many as the arm needs, usually 1.
 
     Raises:
         ConfigError: if the duration is shorter than a tick, the rate does not divide the base rate, or the controller
@@ -142,7 +140,7 @@ def run_controller(
     rates = setup.rates
     ticks = rates.ticks_of(duration)
     command_hz = rates.position_hz if command_rate is None else command_rate
-    plant = setup.plant(substeps)
+    plant = setup.plant()
     n = len(setup.robot.joint_names)
     plant.reset(np.zeros(n) if initial_position is None else initial_position)
     joints = JointInterface(plant, rates, command_hz)

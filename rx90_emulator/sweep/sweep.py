@@ -17,7 +17,7 @@ from rx90_common.description.robot_files import provenance_of
 from rx90_controller.lines.task import LineTask, TipTask
 from rx90_controller.paths.path import Path
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
-from rx90_emulator.loop.closed_loop import peaks_and_work, setpoints_of, simulate_commands
+from rx90_emulator.loop.closed_loop import setpoints_of, simulate_commands
 from rx90_emulator.loop.line import plan_path, turned_by
 from rx90_emulator.loop.parameters import Catalogue, apply
 from rx90_emulator.loop.path_file import load_motion
@@ -96,17 +96,14 @@ def measure(task: TipTask, result: RunResult) -> tuple[float | int, ...]:
     first = int(np.searchsorted(result.times, begin))
     rows = slice(first, int(np.searchsorted(result.times, end, side="right")))
     slow = result.slow
-    peaks = np.zeros((3, slow.joint_states.shape[2]))
-    work = np.zeros(slow.friction_states.shape[2])
-    peaks_and_work(
-        slow.joint_states[rows], slow.friction_states[rows], slow.tracking_error[rows],
-        result.setup.rates.position_period, peaks, work,
-    )  # fmt: skip
-    velocity, torque, error = peaks.tolist()
+    joints = slow.joint_states[rows]
+    error = slow.tracking_error[rows, 0]
+    power = slow.friction_states[rows, 1] * slow.friction_states[rows, 2]
+    work = result.setup.rates.position_period * (power.sum(axis=0) - 0.5 * (power[0] + power[-1]))
     return (
-        *_path_errors(task, result.setup.robot, slow.joint_states[rows, 0], result.times[rows]),
-        *error, *map(_rms, slow.tracking_error[rows, 0].T),
-        *velocity, *torque, *work.tolist(), *result.saturated.tolist(),
+        *_path_errors(task, result.setup.robot, joints[:, 0], result.times[rows]),
+        *_peaks(error), *map(_rms, error.T),
+        *_peaks(joints[:, 1]), *_peaks(joints[:, 2]), *work.tolist(), *result.saturated.tolist(),
     )  # fmt: skip
 
 
@@ -125,6 +122,12 @@ def _path_errors(
         float(np.abs(error.along - asked).max()),
         float(turned.max()),
     )
+
+
+def _peaks(values: Array) -> list[float]:
+    """Return the largest absolute value of each column."""
+    peaks: list[float] = np.maximum(values.max(axis=0), -values.min(axis=0)).tolist()
+    return peaks
 
 
 def _rms(values: Array) -> float:

@@ -64,16 +64,6 @@ def _measured(arm: Arm, page: Path) -> None:
     assert run("rx90 identify compare", words) in (0, 1)
 
 
-def _swept(arm: Arm, page: Path) -> None:
-    parameter = {"paths": ["friction.*.c0"], "factor": [0.5, 2.0]}
-    plan = {"base": {"robot": str(arm[0])}, "blocks": {TEXTS[1]: {"grid": {TEXTS[2]: parameter}}}}
-    file = page.with_suffix(".yaml")
-    file.write_text(yaml.safe_dump(plan), encoding="utf-8")
-    results = str(page.with_suffix(".parquet"))
-    assert run("rx90 sweep", ["run", str(file), "--output", results, "--workers", "1"]) == 0
-    assert run("rx90 sweep", ["report", results, "--output", str(page)]) == 0
-
-
 def _checked(arm: Arm, page: Path) -> None:
     nominal = Nominal(arm[1], page.parent)
     record = run_cs7b(step(nominal, TEXTS[3]), arm[1])
@@ -132,7 +122,6 @@ def _drawn(_arm: Arm, page: Path) -> None:
         (_plotted, 6),
         (_demonstrated, 6),
         (_measured, 6),
-        (_swept, 0),
         (_checked, 6),
         (_identified, 2),
         (_held_against, 6),

@@ -150,7 +150,7 @@ def test_what_makes_it_worse_is_not_kept_and_divergence_ends_it(shipped: Setup, 
     with pytest.raises(ConfigError, match="the tip was not measured"):
         Learner(shipped, plan, tip=True).take(Measured(error))
     # A step beyond the limits of an offset ends it likewise, with what was kept.
-    learned = learn(Learner(shipped, plan), lambda _: Measured(200.0 * error), 3, ENGINE, None)
+    learned = learn(Learner(shipped, plan), lambda _: Measured(200.0 * error), 3, ENGINE)
     assert len(learned.trials) == 1
     assert not learned.correction.offsets.any()
     assert "accepted: up to 0.01 rad" in learned.remark
@@ -193,7 +193,7 @@ def test_an_arm_goes_on_where_the_engine_has_ended(shipped: Setup, task: rx.Line
     """
     plan = plan_line(shipped, task)
     earlier = kept(rx.learn_correction(shipped, plan, 1), None, tmp_path / "engine.yaml")
-    engine, error = earlier.worst[-1], run_corrected(shipped, plan, earlier.correction)[1].joints
+    engine, error = earlier.head.worst[-1], run_corrected(shipped, plan, earlier.correction)[1].joints
     record = "encoders, record"
 
     def trial(factor: float, before: CorrectionFile) -> tuple[LearnedCorrection, str]:
@@ -203,12 +203,12 @@ def test_an_arm_goes_on_where_the_engine_has_ended(shipped: Setup, task: rx.Line
     learned, why = trial(5.0, earlier)
     assert not why
     first = kept(learned, earlier, tmp_path / "0.yaml")
-    assert first.worst == pytest.approx([*earlier.worst, 5.0 * engine], rel=0.02)
-    assert first.measurements == ("encoders, engine",) * 2 + (record,)
+    assert first.head.worst == pytest.approx([*earlier.head.worst, 5.0 * engine], rel=0.02)
+    assert first.head.seen == ("encoders, engine",) * 2 + (record,)
     file, step = first, first.correction.offsets - earlier.correction.offsets
     for number, factor in enumerate((9.0, 8.0, 7.0)):
         learned, why = trial(factor, file)
-        assert why == f"worse than {first.worst[-1] * 1e3:.4f} mm before"
+        assert why == f"worse than {first.head.worst[-1] * 1e3:.4f} mm before"
         file, step = kept(learned, file, tmp_path / f"{number + 1}.yaml"), 0.5 * step
         assert file.correction.offsets == pytest.approx(earlier.correction.offsets + step, abs=1e-12)
         assert np.array_equal(file.best, earlier.correction.offsets)
@@ -324,7 +324,7 @@ def test_a_file_says_where_it_belongs(shipped: Setup, task: rx.LineTask, tmp_pat
     found = rx.load_correction(file)
     plan = plan_line(shipped, task)
     assert np.array_equal(found.fitting(shipped, plan).offsets, learned.correction.offsets)
-    assert found.worst == tuple(trial.worst for trial in learned.trials)
+    assert found.head.worst == tuple(trial.worst for trial in learned.trials)
     with pytest.warns(Rx90Warning, match=r"learned with 3\.7 kg on the last joint, there are 5 kg"):
         found.fitting(rx.with_parameters(shipped, {"arm.link_6.mass": 5.0}), plan)
     text = file.read_text(encoding="utf-8")
