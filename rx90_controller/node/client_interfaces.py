@@ -45,8 +45,10 @@ _WATCH_PERIOD = 0.5  # s between two looks for the simulation, while there is a 
 _SIMULATION_TIMEOUT = 2.0  # s without one, after which the goal is given up
 # s for which results are kept for clients that ask late; a goal may be large
 _RESULT_TIMEOUT = 60.0
-_RESULT_GRACE = 0.5  # s in which clients of the last goals may ask for their results, and get them
-_SPIN_TIMEOUT = 0.01  # s
+_RESULT_GRACE = 2.0  # s in which the client of the last goal may ask for its result
+# turns of the executor in which a result is sent, and s of each at the most
+_FLUSH_SPINS = 10
+_SPIN_TIMEOUT = 0.01
 _ENDS = "the controller ends"
 _POINT_ROWS = ((1, 1, 1, 0), (1, 1, 0, 0), (1, 1, 0, 0), (0, 0, 0, 1))
 """Which of positions, velocities, accelerations, efforts the state's reference, feedback, error and output have."""
@@ -60,6 +62,14 @@ class _Server(ActionServer):
     Its own way is a function that runs while a goal does: it would keep the executor, or, if it waits for something,
     be called again and again, which takes a whole core (rclpy 7).
     """
+
+    on_result_request: Callable[[bytes], object]
+
+    async def execute(self, taken_data: dict[str, Any]) -> None:
+        """Serve requests, and note the goal whose result is requested."""
+        await super().execute(taken_data)
+        if "result" in taken_data:
+            self.on_result_request(bytes(taken_data["result"][1].goal_id.uuid))
 
     def notify_execute(
         self, goal_handle: ServerGoalHandle, execute_callback: Callable[..., Any] | None
@@ -99,6 +109,7 @@ class ClientInterfaces:
         self._names = list(cs7b.joint_names)
         self._tick_ns = cs7b.rates.period_ns * cs7b.rates.ratio
         self._goals: dict[bytes, TrajectoryRequest] = {}  # that may still be cancelled
+        self._result_requested: set[bytes] = set()  # goals whose client has asked for the result
         self._checked: TrajectoryRequest | None = None  # the goal that is accepted next
         # an executor of several threads continues while the node ends
         self._checking = threading.Lock()
@@ -118,6 +129,7 @@ class ClientInterfaces:
             cancel_service_qos_profile=qos,
             result_timeout=_RESULT_TIMEOUT,
         )
+        self._server.on_result_request = self._on_result_request
         node.create_timer(_WATCH_PERIOD, self._watch_simulation)
         # Some repeat their speed scaling hundreds of times a second, right or wrong.
         self._complaints = error_log(node)
@@ -134,14 +146,17 @@ class ClientInterfaces:
     def end(self) -> None:
         """End the active goal because the node ends, and send its result; take no other."""
         with self._checking:
-            self._ending = True
-            goals = len(self._goals)
+            self._ending, ending = True, set(self._goals)
             self._loop.post(GiveUp(_ENDS))
         self._loop.report()
         executor = self._node.executor
         until = time.monotonic() + _RESULT_GRACE
-        while executor is not None and goals and time.monotonic() < until:
-            executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
+        spins = _FLUSH_SPINS
+        # A client that requested a result while another goal was checked has not been answered yet.
+        while executor is not None and spins > 0:
+            executor.spin_once(timeout_sec=_SPIN_TIMEOUT if ending else 0.0)
+            if (ending <= self._result_requested and not self._goals) or time.monotonic() > until:
+                spins -= 1
 
     def close(self) -> None:
         """Serve no more goals; those that there were have ended."""
@@ -170,6 +185,10 @@ class ClientInterfaces:
             self._loop.offer(goal)
             if self._ending:
                 self._loop.post(GiveUp(_ENDS))
+
+    def _on_result_request(self, name: bytes) -> None:
+        if name in self._goals or self._ending:
+            self._result_requested.add(name)
 
     def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
         """Cancel a goal; where its end is on the way already, its client gets that."""
@@ -239,7 +258,10 @@ class ClientInterfaces:
             return FollowJointTrajectory.Result(error_code=int(goal.code), error_string=goal.reason)
 
         self._server.finish(handle, end)
-        self._goals.pop(bytes(handle.goal_id.uuid))
+        name = bytes(handle.goal_id.uuid)
+        self._goals.pop(name)
+        if not self._ending:
+            self._result_requested.discard(name)
 
     def _send_feedback(self, handle: ServerGoalHandle, feedback: Feedback) -> None:
         message = FollowJointTrajectory.Feedback(

@@ -15,11 +15,11 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
-from rx90_common.base.errors import ExchangeError, MessageError
+from rx90_common.base.errors import ExchangeError
 from rx90_common.base.models import refusals
 from rx90_common.base.quoting import one_line, plain
 from rx90_common.description.drives import load_drives
@@ -38,7 +38,7 @@ from rx90_common.exchange.endpoints import (
     wait_until_received,
 )
 from rx90_common.exchange.lifecycle import Diagnostics, ManagedNode, started
-from rx90_common.exchange.pacing import Pacer, error_log
+from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.parameters import nested
 from rx90_common.exchange.ros_start import missing_messages
 from rx90_common.exchange.topics import (
@@ -49,7 +49,6 @@ from rx90_common.exchange.topics import (
     MOTOR_COMMANDS,
     MOTOR_STATES,
     REFERENCE,
-    TIME_MODE,
     TRAJECTORY_ACCEPTED,
     TimeMode,
     motor_names,
@@ -66,6 +65,7 @@ from rx90_controller.node.parameters import (
 )
 from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import ServoLoop
+from rx90_controller.node.simulation_mode import SimulationMode
 from rx90_controller.servo.events import TorqueSwitch
 from rx90_controller.trajectory.request import Constraints, GoalOptions, GoalTolerances
 from rx90_controller.trajectory.stream import from_message
@@ -199,9 +199,8 @@ class Control:
 
     def _subscribe(self, loop: ServoLoop, *, local: bool) -> None:
         node = self._node
-        self._complaints = error_log(node)
         if not local:
-            subscribe(node, String, TIME_MODE, self._on_mode, LATCHED_QOS)
+            SimulationMode(node, self._on_mode)
         # Before that of the trajectories: of two that wait the executor takes the first one first.
         correction = f"~/{COMMANDED_CORRECTION}"
         subscribe(node, JointTrajectory, correction, loop.receive_correction, TRAJECTORY_QOS)
@@ -268,12 +267,7 @@ class Control:
 
     # Topics, services and diagnostics, on the executor's thread.
 
-    def _on_mode(self, message: String) -> None:
-        try:
-            mode = TimeMode.parse(message.data)
-        except MessageError as error:
-            self._complaints.say("mode", f"{error}; ignored")
-            return
+    def _on_mode(self, mode: TimeMode) -> None:
         with suppress(ExchangeError):  # ends `tick_loop`
             self.serving.follow(mode)
 

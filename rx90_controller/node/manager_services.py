@@ -88,13 +88,13 @@ class ManagerServices:
         serve(ListHardwareComponents, "list_hardware_components", self._list_components)
         serve(ListHardwareInterfaces, "list_hardware_interfaces", self._list_interfaces)
         serve(SwitchController, "switch_controller", self._switch)
+        serve(SetHardwareComponentState, "set_hardware_component_state", self._set_component_state)
         for kind, name in (
             (LoadController, "load_controller"),
             (UnloadController, "unload_controller"),
             (ConfigureController, "configure_controller"),
             (CleanupController, "cleanup_controller"),
             (ReloadControllerLibraries, "reload_controller_libraries"),
-            (SetHardwareComponentState, "set_hardware_component_state"),
         ):
             serve(kind, name, partial(self._refuse, name))
 
@@ -152,7 +152,7 @@ class ManagerServices:
             type=_COMPONENT_TYPE,
             rw_rate=self._rates[1],
             plugin_name=self._name,
-            state=State(id=State.PRIMARY_STATE_ACTIVE, label="active"),
+            state=_ACTIVE,
             command_interfaces=command,
             state_interfaces=states,
         )
@@ -183,8 +183,25 @@ class ManagerServices:
             self._requests.say("switch_controller", f"switch_controller: {response.message}")
         return response
 
+    def _set_component_state(
+        self,
+        request: SetHardwareComponentState.Request,
+        response: SetHardwareComponentState.Response,
+    ) -> Any:
+        """Answer the state that the arm is in; no other can be reached."""
+        target = request.target_state
+        is_active = target.label == _ACTIVE.label if target.label else target.id == _ACTIVE.id
+        response.ok = request.name == self._robot and is_active
+        response.state = _ACTIVE
+        if not response.ok:
+            return self._refuse("set_hardware_component_state", request, response)
+        return response
+
     def _refuse(self, name: str, _: Any, response: Any) -> Any:
         """Answer no, which has no room for a reason; the log has."""
         response.ok = False
         self._requests.say(name, f"{name}: {self._name} {_FIXED}; accepted: {_ANOTHER_WAY}")
         return response
+
+
+_ACTIVE = State(id=State.PRIMARY_STATE_ACTIVE, label="active")

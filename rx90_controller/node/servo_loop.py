@@ -8,7 +8,8 @@
 
 Events stand in one queue, in the order in which they come; between two ticks the present state answers them
 (rx90_controller/servo/states.py), on the thread that has posted one, at the latest. An event is answered when `post`
-returns, also while no ticks run. What is printed, published or sent to clients waits for `report`.
+returns, also while no ticks run. What takes long, checks and the motion of long trajectories, is done before, outside
+the ticks. What is printed, published or sent to clients waits for `report`.
 """
 
 from __future__ import annotations
@@ -47,10 +48,15 @@ from rx90_controller.trajectory.points import (
 from rx90_controller.trajectory.request import (
     GoalOptions,
     GoalTolerances,
+    JoinedAhead,
+    State,
     TrajectoryRequest,
     check_request,
 )
 from rx90_controller.trajectory.stream import SetPoints, from_trajectory
+
+# to join a long trajectory outside the ticks, each with more time than the one before
+_ATTEMPTS = 3
 
 
 class ServoLoop:
@@ -235,7 +241,20 @@ class ServoLoop:
             points_left(request.points, self.servo.tick, request.start, self.servo.period)
 
     def offer(self, request: TrajectoryRequest) -> None:
-        """Follow a request, at the latest once there are states, or refuse it."""
+        """Follow a request, at the latest once there are states, or refuse it.
+
+        A long one is joined to the motion outside the ticks; if the motion changes meanwhile, or the time was too
+        short, again with more time. A short one, and one that never was in time, is joined between two ticks.
+        """
+        for attempt in range(_ATTEMPTS if request.long else 0):
+            with self.between_ticks:
+                if not self.state.torque:
+                    break
+                joined = JoinedAhead(request, self.servo.trajectory, self.servo.tick, attempt)
+            joined.compute()
+            self.post(Offer(request, joined))
+            if request.state is not State.RECEIVED:
+                return
         self.post(Offer(request))
 
     def receive_stream(self, read: Callable[[], SetPoints], source: str) -> None:

@@ -9,15 +9,16 @@ from typing import TypeAlias
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.rates import NANOSECONDS
 from rx90_controller.law.cs7b import DriveFault
-from rx90_controller.trajectory.request import TrajectoryRequest
+from rx90_controller.trajectory.request import JoinedAhead, TrajectoryRequest
 from rx90_controller.trajectory.stream import SetPoints
 
 
 @dataclass(frozen=True, eq=False)
 class Offer:
-    """A trajectory of the topic or a goal, checked by itself."""
+    """A trajectory of the topic or a goal, checked by itself; perhaps joined to a fork of the motion already."""
 
     request: TrajectoryRequest
+    joined: JoinedAhead | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from rx90_common.exchange.topics import OF_ACTION
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.servo.events import Begin, LawChange
 from rx90_controller.trajectory.generator import PastError, Schedule
-from rx90_controller.trajectory.request import ResultCode, State, TrajectoryRequest
+from rx90_controller.trajectory.request import JoinedAhead, ResultCode, State, TrajectoryRequest
 from rx90_controller.trajectory.stream import StreamOptions
 
 
@@ -146,8 +146,8 @@ class Servo:
 
     # Requests.
 
-    def enter(self, request: TrajectoryRequest) -> Schedule | None:
-        """Let the motion follow a request; None if it is refused, without any effect."""
+    def enter(self, request: TrajectoryRequest, joined: JoinedAhead | None) -> Schedule | None:
+        """Let the motion follow a request, perhaps joined already; None if it is refused, without any effect."""
         now = self.tick
         ahead = 0.0 if request.start is None else (request.start - now) * self.period
         try:
@@ -156,7 +156,7 @@ class Servo:
                     f"start time {request.start * self.period:.3f} s, the controller's time is {self.time:.3f} s; "
                     f"accepted: 0 for now, or simulated time within {self._horizon:g} s"
                 )
-            return request.enter(self.trajectory, now)
+            return request.enter(self.trajectory, now) if joined is None else joined.adopt(now)
         except TrajectoryError as error:
             self.refuse(request, error)
             return None
@@ -175,6 +175,8 @@ class Servo:
                 text += "; velocities from its positions"
             if request.correction is not None:
                 text += "; with its correction"
+            if schedule.blend_error > 0.0:
+                text += f"; its ramps pass the points in between at up to {schedule.blend_error:.3g} rad"
         start = schedule.begin if request.start is None or points is None else request.start
         start_ns = start * self.cs7b.rates.period_ns * self.cs7b.rates.ratio
         source = OF_ACTION if request.is_goal else ""

@@ -251,8 +251,8 @@ class Powered(ServoState):
     def answer(self, servo: Servo, event: Event) -> ServoState:
         """Follow what is offered, unless it is refused; let go of the arm, or hold it anew."""
         match event:
-            case Offer(request):
-                return self.follow(servo, request)
+            case Offer():
+                return self.follow(servo, event)
             case Streamed(points, source):
                 return self.follow_stream(servo, points, source)
             case TorqueSwitch(on) if not on:
@@ -274,9 +274,12 @@ class Powered(ServoState):
     def leave(self, servo: Servo, reason: str, *, wanted: bool = False) -> None:
         """Tell who sent what is followed that it ends; `wanted`: that is no failure."""
 
-    def follow(self, servo: Servo, request: TrajectoryRequest) -> ServoState:
-        """Follow a request, or stay."""
-        schedule = servo.enter(request)
+    def follow(self, servo: Servo, offer: Offer) -> ServoState:
+        """Follow a request, or stay: also where one does not fit the motion to which it was joined."""
+        request = offer.request
+        if offer.joined is not None and not offer.joined.fits(servo.tick):
+            return self
+        schedule = servo.enter(request, offer.joined)
         if schedule is None:
             return self
         self.leave(servo, request.replaces, wanted=True)
@@ -372,7 +375,7 @@ class Following(Powered):
         """Let the arm stop along the path where the goal is taken back or given up."""
         match event:
             case Cancel(request) if request is self.request:
-                begin, end = servo.trajectory.halt(servo.tick)
+                (begin, end, _) = servo.trajectory.halt(servo.tick)
                 times = (
                     f"from {begin * servo.period:.6g} s on, at rest at {end * servo.period:.6g} s"
                 )

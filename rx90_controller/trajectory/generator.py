@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,15 +13,17 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory.correction import Correction, PlayedCorrection, cut_at
-from rx90_controller.trajectory.paths import JointLimits, connect, stop
+from rx90_controller.trajectory.paths import JointLimits, check_time, connect, stop
 from rx90_controller.trajectory.points import TrajectoryPoints
 from rx90_controller.trajectory.spline import (
     FollowedPath,
     Path,
     Spline,
-    interpolate,
     joined,
+    merged,
+    remainder,
     resting,
+    smooth,
 )
 from rx90_controller.trajectory.stream import POSITION, SetPoints, Stream, StreamOptions
 
@@ -35,10 +39,14 @@ class PastError(TrajectoryError):
 
 
 class Schedule(NamedTuple):
-    """When an accepted trajectory runs, in position ticks; the end is that at full speed."""
+    """When an accepted trajectory runs, in position ticks, and by how much it misses its points at most, rad.
+
+    The end is that at full speed.
+    """
 
     begin: int
     end: int
+    blend_error: float
 
 
 class TrajectoryGenerator:
@@ -62,6 +70,8 @@ class TrajectoryGenerator:
         self.period = period
         self.revision = 0
         self.factor = 1.0
+        # of a fork: revision, and start of the waiting motion
+        self._origin: tuple[int, int | None] = (0, None)
         self.reset(hold)
 
     def warm_up(self) -> None:
@@ -69,7 +79,8 @@ class TrajectoryGenerator:
         joints = len(self.limits.names)
         rest = np.zeros((2, joints))
         held = np.zeros((3, joints))
-        spline = interpolate(np.array([0.0, 1.0]), rest, rest, None)
+        spline = smooth(np.array([0.0, 1.0]), rest, rest)
+        spline.bounds()
         self._followed(0, Path(spline, 0.0, 1.0)).halted(0, 1)
         every = np.ones(joints, dtype=np.bool_)
         stream = Stream(POSITION, every, self.limits, self.period, StreamOptions())
@@ -152,22 +163,22 @@ class TrajectoryGenerator:
         if motion.announced or not motion.over(tick):
             return None
         motion.announced = True
-        return motion.end if motion.law is None else tick, motion.path.stop
+        return tick if motion.laws else motion.end, motion.path.stop
 
     def state(self, tick: float) -> Array:
         """Return the set-point of the running trajectory at a time in position ticks, whole or not, shape (3, j).
 
-        Past times as far as the running trajectory goes on at its present scaling, future ones, too.
+        Past times as far as the running trajectory goes back, future times with the present scaling.
 
         Raises:
             TrajectoryError: for a time before that.
         """
         motion = self._effective(tick)
-        since = motion.start if motion.law is None else motion.law.tick
+        since = motion.start if motion.oldest is None else motion.oldest
         if not tick >= since:
             raise TrajectoryError(
                 f"time {tick * self.period:.6g} s; accepted: from {since * self.period:.6g} s on, where the running "
-                "motion, or its speed, begins"
+                "motion begins"
             )
         state: Array = motion.states(np.array([tick], dtype=np.float64))[0]
         return state
@@ -227,33 +238,60 @@ class TrajectoryGenerator:
         now: int,
         start: int | None,
         correction: Correction | None = None,
-        *,
-        smoothly: bool = False,
     ) -> Schedule:
         """Take a trajectory; return when it runs.
 
-        It leads from where the path is at its begin to the points that are later. A point at the begin itself must be
-        near, and have the path's velocity. Joints that the points do not name hold, and must rest.
+        Args:
+            points: the checked points.
+            now: the first position tick that may still be changed.
+            start: its start tick, None for `now`.
+            correction: offsets of the position set-points, played along.
+
+        Raises:
+            TrajectoryError: if it lies in the past, starts elsewhere than the arm is, or breaks a limit.
+        """
+        begin = self._begin(now, start)
+        return self._take(points, now, begin, correction, follow=False)
+
+    def join(
+        self,
+        points: TrajectoryPoints,
+        now: int,
+        start: int | None,
+        correction: Correction | None = None,
+        *,
+        anywhere: bool,
+    ) -> Schedule:
+        """Take a trajectory from where the path then is, without a jump; return when it runs.
+
+        As `accept`, but points that are not later than its begin are left out: those in the past, and one at the begin
+        itself, which must be as near as `accept` wants it unless `anywhere`. Joints that the points do not name hold,
+        or with `anywhere` go on along the running trajectory.
 
         Args:
             points: the checked points.
             now: the first position tick that may still be changed.
             start: its start tick, None for `now`; may lie in the past.
             correction: offsets of the position set-points, played along.
-            smoothly: whether it goes on from the path where its first point is only near, else it jumps there.
+            anywhere: whether points may be left out that the arm is not near to.
 
         Raises:
             PastError: if all its points lie in the past.
             TrajectoryError: if it starts elsewhere than the arm is, or breaks a limit.
         """
-        begin = now if start is None else max(start, now)
-        remaining = points_left(points, now, start, self.period)
-        if remaining is not points and correction is not None:
-            raise TrajectoryError(
-                "a correction begins late; accepted: with its trajectory's first point"
-            )
+        begin, late, remaining = points_left(points, now, start, self.period)
         self._promote(now)
-        return self._take(remaining, now, begin, correction, smoothly=smoothly)
+        if late > 0.0 and correction is not None:
+            raise TrajectoryError(
+                f"a correction begins {late:.6g} s late; accepted: with its trajectory's first point"
+            )
+        if late == 0.0 and points.times[0] == 0.0 and not anywhere:
+            reference = self._base(now).entry(begin)
+            first = points.held_at(reference[0])
+            self.limits.check_near(first, reference)
+            if first.velocity is not None and (first.degrees is None or first.degrees[0] > 1):
+                self.limits.check_start(reference, first.velocity[0], self.period)
+        return self._take(remaining, now, begin, correction, follow=anywhere)
 
     def follow_stream(self, stream: Stream, points: SetPoints, now: int) -> None:
         """Follow set-points of a stream from position tick `now` on, in place of whatever runs or waits.
@@ -274,9 +312,12 @@ class TrajectoryGenerator:
             self._next.announced = True
 
     def stop(self, now: int, start: int | None) -> Schedule:
-        """Brake every joint to rest from tick `start` on, `now` for None, and hold; return when that happens."""
-        begin = now if start is None else max(start, now)
-        self._promote(now)
+        """Brake every joint to rest from tick `start` on, `now` for None, and hold; return when that happens.
+
+        Raises:
+            TrajectoryError: if it lies in the past.
+        """
+        begin = self._begin(now, start)
         base = self._base(now)
         # A stop at once begins from the present motion; a later one along the path, whose speed may have changed by
         # then.
@@ -299,13 +340,51 @@ class TrajectoryGenerator:
             self._next = None
             self._played = cut_at(self._played, now, now)
             self.revision += 1
-            return Schedule(base.start, base.end)
+            return Schedule(base.start, base.end, 0.0)
         position, velocity, _ = base.setpoints(now, 1)[0]
         shortest = float((np.abs(velocity) / acceleration).max())
         spline = base.halted(now, _MAX_HALT_RATIO * math.ceil(shortest / self.period) + 2)
         if spline is None:
             spline = stop(position, velocity, acceleration)
         return self._follow(base, Path(spline, 0.0, spline.duration, stop=True), now, now, None)
+
+    # New motions that are computed outside the ticks.
+
+    def fork(self, now: int) -> TrajectoryGenerator | None:
+        """Return a generator that continues as this one does from tick `now` on, for another thread to `join` to.
+
+        It does not contain the waiting motion, which a joined one replaces. None if the scaling has changed while
+        a motion waited: the set-points until then would depend on that.
+        """
+        self._promote(now)
+        if self._current.before is not None:
+            return None
+        fork = copy.copy(self)
+        fork._origin = (self.revision, None if self._next is None else self._next.start)
+        # a fork must not change this generator's laws
+        laws = [copy.copy(law) for law in self._current.laws]
+        fork._current = replace(self._current, laws=laws)
+        fork._next = None
+        return fork
+
+    def continues(self, fork: TrajectoryGenerator, now: int) -> bool:
+        """Return whether a fork still begins as this generator does: no other motion has come in between."""
+        revision, waited = fork._origin
+        return self.revision == revision and (waited is None or waited >= now)
+
+    def adopt(self, fork: TrajectoryGenerator, late: int) -> None:
+        """Continue as a fork that this one `continues` does; the motion joined to it comes `late` ticks later."""
+        if fork._next is not None:
+            begin = fork._next.start
+            fork._next.delay(late)
+            fork._played = [
+                one.shifted(late) if one.begin == begin else one for one in fork._played
+            ]
+        fork._current.announced = self._current.announced
+        self._current = fork._current
+        self._next = fork._next
+        self._played = fork._played
+        self.revision += 1
 
     def _effective(self, tick: float) -> FollowedPath:
         """Return the motion whose set-point a tick gets."""
@@ -316,6 +395,16 @@ class TrajectoryGenerator:
         if self._next is not None and self._next.start < tick:
             self._current = self._next
             self._next = None
+
+    def _begin(self, now: int, start: int | None) -> int:
+        begin = now if start is None else start
+        if begin < now:
+            late = (now - begin) * self.period
+            raise TrajectoryError(
+                f"start time {begin * self.period:.6g} s is {late:.6g} s in the past; accepted: now or later"
+            )
+        self._promote(now)
+        return begin
 
     def _base(self, now: int) -> FollowedPath:
         """Return the running motion without the waiting one."""
@@ -337,14 +426,15 @@ class TrajectoryGenerator:
         begin: int,
         correction: Correction | None,
         *,
-        smoothly: bool,
+        follow: bool,
     ) -> Schedule:
-        """Check a trajectory and run it."""
+        """Check a trajectory and run it; joints that it does not name hold, or follow the running one."""
         limits = self.limits
         base = self._base(now)
+        partial = not points.named.all()
         rate = self._rate(base, begin)
         # Held on the path, the arm rests, and may go elsewhere from there.
-        stands_still = begin == now and rate == 0.0
+        stands_still = begin == now and rate == 0.0 and not (follow and partial)
         reference = base.setpoints(begin, 1)[0] if stands_still else base.entry(begin)
         outside = limits.outside(reference[0])
         # An arm that was pushed beyond a limit may come back: from there on only inwards.
@@ -354,11 +444,19 @@ class TrajectoryGenerator:
         held = np.where(
             points.named, reference, [reference[0], 0.0 * reference[1], 0.0 * reference[2]]
         )
-        spline = connect(points, held, limits, smoothly=smoothly)
+        if len(points.times) == 1 and points.times[0] > 0.0:
+            check_time(points, held, limits, self.period, allowed)
+        spline = connect(points, held, limits)
         last = spline.duration
         if points.velocity is not None and points.velocity[-1].any():
             spline = joined(
                 spline, last, stop(spline.final, points.velocity[-1], limits.acceleration)
+            )
+        if partial and follow:
+            spline = merged(spline, remainder(base.path.spline, base.at(begin)[0]), ~points.named)
+        elif partial:
+            spline = merged(
+                spline, stop(reference[0], reference[1], limits.acceleration), ~points.named
             )
         limits.check_start(reference, spline.sample(np.zeros(1))[0, 1], self.period, points.first)
         try:
@@ -411,24 +509,25 @@ class TrajectoryGenerator:
         end = self._next.end
         if rate is not None:
             self._next.go_at(self.factor, begin, rate)
-        return Schedule(begin, end)
+        return Schedule(begin, end, path.spline.blend_error)
 
 
 def points_left(
     points: TrajectoryPoints, now: int, start: int | None, period: float
-) -> TrajectoryPoints:
-    """Return the points that are still to come at a tick: all, unless the start is past.
+) -> tuple[int, float, TrajectoryPoints]:
+    """Return the tick at which `TrajectoryGenerator.join` would begin, how late that is, s, and the points after it.
 
     Raises:
         PastError: if there are none.
     """
-    if start is None or start >= now:
-        return points
-    remaining = points.after((now - start) * period)
+    begin = now if start is None else max(start, now)
+    late = 0.0 if start is None else (begin - start) * period
+    # Nothing but the start: whoever is there already has reached it.
+    remaining = points if late == 0.0 and len(points.times) == 1 else points.after(late)
     if not len(remaining.times):
-        ended = start * period + points.times[-1]
+        ended = (begin * period - late) + points.times[-1]
         raise PastError(
             f"the last point is at {ended:.6g} s, the controller's time is {now * period:.6g} s; accepted: points "
             "later than that"
         )
-    return remaining
+    return begin, late, remaining

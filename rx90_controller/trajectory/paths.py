@@ -9,14 +9,15 @@ allow and of the same duration in all joints, so that the motion stays straight:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import TrajectoryError
+from rx90_common.base.errors import ConfigError, TrajectoryError
 from rx90_controller.trajectory.points import TrajectoryPoints
 from rx90_controller.trajectory.spline import Spline, interpolate, resting, smooth
 
@@ -29,6 +30,8 @@ _ACCELERATION_SLACK = 1e-5  # of the limit
 # The largest acceleration lies between two set-points, and may be a little more than the largest set-point.
 _BETWEEN_SLACK = 1e-3  # of the limit
 _CHECKED_AT_ONCE = 4096  # set-points
+_LONGEST_MOVE = 100.0  # s: an arm that does not come to a point in it never does
+_MOVE_PRECISION = 1.005  # by how much the stated time for a move may be longer than the least one
 
 
 class _Quantity(NamedTuple):
@@ -69,6 +72,17 @@ class JointLimits:
     velocity: Array
     acceleration: Array
     start_tolerance: float
+
+    def __post_init__(self) -> None:
+        if (
+            np.any(self.lower >= self.upper)
+            or np.any(self.velocity <= 0)
+            or np.any(self.acceleration <= 0)
+        ):
+            raise ConfigError(
+                f"joint limits {self.lower.tolist()}, {self.upper.tolist()}, {self.velocity.tolist()}, "
+                f"{self.acceleration.tolist()}; accepted: lower < upper, velocity > 0, acceleration > 0"
+            )
 
     def _quantities(self, lower: Array, upper: Array) -> tuple[_Quantity, _Quantity, _Quantity]:
         """Return position, velocity and acceleration with their limits; those of the position are given."""
@@ -162,10 +176,12 @@ class JointLimits:
     def check_motion(
         self, spline: Spline, period: float, points: TrajectoryPoints, allowed: Array
     ) -> None:
-        """Check a motion: positions and velocities of its set-points, and accelerations at every time.
+        """Check a motion: its set-points, and the accelerations between them.
 
-        It can therefore be travelled at every lower speed, too; and as it ends within the position limits, it can be
-        braked to rest at any time before it reaches them.
+        The accelerations hold at every time of an accepted motion, so that it can be travelled at every lower speed,
+        too.
+        It ends within the position limits, and can therefore be braked to rest at any time before it reaches
+        them.
 
         Args:
             spline: the motion.
@@ -177,66 +193,100 @@ class JointLimits:
         Raises:
             TrajectoryError: naming joint, point, time, amount and limit.
         """
-        position, velocity, acceleration = quantities = self._quantities(self.lower, self.upper)
-        bounds = zip(quantities, spline.control_points(), strict=True)
-        if not allowed.any() and all(item.first_outside(rows) is None for item, rows in bounds):
+        if not allowed.any() and self._certainly_within(spline):
             return
-        times, values = _extreme_accelerations(spline)
-        acceleration = acceleration._replace(slack=_BETWEEN_SLACK * self.acceleration)
-        self._check_on_the_way(acceleration, values, times, points)
-        last = int(np.ceil(spline.duration / period - 1e-6)) + 1
+        last = int(np.ceil(spline.duration / period - 1e-6))
         for first in range(0, last, _CHECKED_AT_ONCE):
-            ticks = np.arange(first, min(first + _CHECKED_AT_ONCE, last), dtype=np.float64)
-            times = ticks * period
+            # The blocks share a set-point, so that the step from one to the next is checked, too.
+            times = np.asarray(
+                np.arange(first, min(first + _CHECKED_AT_ONCE, last) + 1) * period, dtype=np.float64
+            )
             setpoints = spline.sample(times)
-            beyond = np.vstack([allowed, self.outside(setpoints[:, 0])])
-            reach = np.minimum.accumulate(beyond, axis=0)
+            reach = np.minimum.accumulate(
+                np.vstack([allowed, self.outside(setpoints[:, 0])]), axis=0
+            )
+            for quantity, values, at, point in self._of_setpoints(
+                setpoints, times, points.times, reach[:-1]
+            ):
+                found = quantity.first_outside(values)
+                if found is not None:
+                    row, joint = found
+                    raise TrajectoryError(
+                        f"point {points.first + point[row]}: {self.names[joint]} gets a set-point {quantity.what} "
+                        f"{values[row, joint]:.6g} {quantity.unit} on the way there, at {at[row]:.3f} s; accepted: "
+                        f"{quantity.accepted(row, joint)}"
+                    )
             allowed = reach[-1]
-            position = position._replace(low=self.lower - reach[:-1], high=self.upper + reach[:-1])
-            self._check_on_the_way(position, setpoints[:, 0], times[:, None], points)
-            self._check_on_the_way(velocity, setpoints[:, 1], times[:, None], points)
+        self._check_between(spline, points)
 
-    def _check_on_the_way(
-        self, quantity: _Quantity, values: Array, times: Array, points: TrajectoryPoints
-    ) -> None:
-        """Check values of the joints, shape (m, j), at times, s, that broadcast to that shape."""
-        found = quantity.first_outside(values)
-        if found is None:
-            return
-        row, joint = found
-        time = float(np.broadcast_to(times, values.shape)[row, joint])
-        point = min(int(np.searchsorted(points.times, time)), len(points.times) - 1)
-        raise TrajectoryError(
-            f"point {points.first + point}: {self.names[joint]} gets the {quantity.what} {values[row, joint]:.6g} "
-            f"{quantity.unit} on the way there, at {time:.6g} s; accepted: {quantity.accepted(row, joint)}"
+    def _certainly_within(self, spline: Spline) -> bool:
+        """Return whether bounds of the spline, and so its set-points and the steps between them, are within limits."""
+        quantities = self._quantities(self.lower, self.upper)
+        extremes = np.stack(spline.bounds(), axis=1)
+        return all(
+            each.first_outside(pair) is None
+            for each, pair in zip(quantities, extremes, strict=True)
         )
 
+    def _of_setpoints(
+        self, setpoints: Array, times: Array, knots: Array, reach: Array
+    ) -> Iterator[tuple[_Quantity, Array, Array, NDArray[np.intp]]]:
+        """Yield quantities of set-points, their values, shape (m, j), the times and the points that they lead to.
 
-def _extreme_accelerations(spline: Spline) -> tuple[Array, Array]:
-    """Return times, s, and accelerations, shape (m, j) each, among which are the extremes of all pieces."""
-    c = spline.coefficients
-    span = np.diff(spline.times)[:, None]
-    # The derivative of the acceleration is 6 c3 + 24 c4 s + 60 c5 s^2; the extremes lie at its roots or the ends.
-    half = 12.0 * c[:, 4]
-    square = 60.0 * c[:, 5]
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        root = half + np.copysign(np.sqrt(half * half - square * 6.0 * c[:, 3]), half)
-        places = np.stack([0.0 * half, span + 0.0 * half, -root / square, -6.0 * c[:, 3] / root])
-    # At the begin of a piece, but in it: that way is meant, and not the one before.
-    since = np.clip(np.nan_to_num(places), 1e-9 * span, span)
-    values = 2.0 * c[:, 2] + since * (
-        6.0 * c[:, 3] + since * (12.0 * c[:, 4] + since * 20.0 * c[:, 5])
-    )
-    times = spline.times[:-1, None] + since
-    return times.reshape(-1, c.shape[2]), values.reshape(-1, c.shape[2])
+        Points closer to each other than two set-points can hide a jump from every sampled derivative, so that the steps
+        from one to the next are checked, too.
+        """
+        q = setpoints[:, 0]
+        v = setpoints[:, 1]
+        a = setpoints[:, 2]
+        step = np.diff(times)[:, None]
+        last = knots.size - 1
+        point = np.minimum(np.searchsorted(knots, times), last)
+        # At a knot the derivatives are already those of the way to the next point.
+        after = np.minimum(np.searchsorted(knots, times, side="right"), last)
+        position, velocity, acceleration = self._quantities(self.lower - reach, self.upper + reach)
+        yield position, q, times, point
+        yield velocity, v, times, after
+        yield acceleration, a, times, after
+        steps = acceleration._replace(what="step of the velocity of")
+        yield steps, np.diff(v, axis=0) / step, times[1:], point[1:]
+        # With accelerations up to a, the way between velocities v0 and v1 is (v0 + v1) T/2, within a (T/2)^2.
+        most = self.acceleration * (step / 2.0) ** 2
+        jump = _Quantity("jump of", "rad", -most, most)
+        yield jump, np.diff(q, axis=0) - step * (v[1:] + v[:-1]) / 2.0, times[1:], point[1:]
+
+    def _check_between(self, spline: Spline, points: TrajectoryPoints) -> None:
+        """Check the largest accelerations of all pieces."""
+        c = spline.coefficients
+        span = np.diff(spline.times)[:, None]
+        # The derivative of the acceleration is 6 c3 + 24 c4 s + 60 c5 s^2; the extremes lie at its roots or the ends.
+        half = 12.0 * c[:, 4]
+        square = 60.0 * c[:, 5]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            root = half + np.copysign(np.sqrt(half * half - square * 6.0 * c[:, 3]), half)
+            extremes = (-root / square, -6.0 * c[:, 3] / root)
+        for at in (np.zeros_like(half), span + np.zeros_like(half), *extremes):
+            inside = np.where((at > 0.0) & (at < span), at, np.where(at == span, at, 0.0))
+            value = 2.0 * c[:, 2] + inside * (
+                6.0 * c[:, 3] + inside * (12.0 * c[:, 4] + inside * 20.0 * c[:, 5])
+            )
+            beyond = np.argwhere(~(np.abs(value) <= (1.0 + _BETWEEN_SLACK) * self.acceleration))
+            if len(beyond):
+                row, joint = beyond[0]
+                time = spline.times[row] + inside[row, joint]
+                most = self.acceleration[joint]
+                middle = 0.5 * (spline.times[row] + spline.times[row + 1])
+                point = points.first + min(
+                    int(np.searchsorted(points.times, middle)), len(points.times) - 1
+                )
+                raise TrajectoryError(
+                    f"point {point}: {self.names[joint]} gets an acceleration of {value[row, joint]:.6g} rad/s^2 on "
+                    f"the way there, between two set-points, at {time:.6g} s; accepted: [{-most:.6g}, {most:.6g}]"
+                )
 
 
-def connect(
-    points: TrajectoryPoints, held: Array, limits: JointLimits, *, smoothly: bool = False
-) -> Spline:
+def connect(points: TrajectoryPoints, held: Array, limits: JointLimits) -> Spline:
     """Return the spline through the points, begun at the set-point that the arm then has, shape (3, j).
-
-    A first point at the start itself is passed as it is, or `smoothly`, from that set-point on.
 
     Raises:
         TrajectoryError: if the first point is elsewhere, or comes too early.
@@ -255,13 +305,88 @@ def connect(
         limits.check_near(points, held)
     if len(times) == 1:
         return resting(position[-1].copy())
-    if smoothly:
-        position = np.vstack([held[0], position[1:]])
     if velocity is None:
         return straight(times, position, held[1], limits, first=points.first - later)
+    if points.degrees is not None:
+        degrees = points.degrees if later else points.degrees[1:]
+        velocity = np.vstack([held[1] if degrees[0] == 1 else velocity[0], velocity[1:]])
+        return _by_degrees(
+            times, (position, velocity, acceleration), degrees, limits, points.first - later
+        )
     if points.smooth:
         return smooth(times, position, velocity)
     return interpolate(times, position, velocity, acceleration)
+
+
+def check_time(
+    points: TrajectoryPoints, held: Array, limits: JointLimits, period: float, allowed: Array
+) -> None:
+    """Check that the time of a single point that is later than the start allows the way to it.
+
+    The arguments are those of `connect` and `JointLimits.check_motion`, which say what else is wrong.
+
+    Raises:
+        TrajectoryError: naming joint, way, time and the time that it needs.
+    """
+
+    def suffices(time: float) -> bool:
+        later = replace(points, times=np.array([time]))
+        try:
+            limits.check_motion(connect(later, held, limits), period, later, allowed)
+        except TrajectoryError:
+            return False
+        return True
+
+    given = float(points.times[0])
+    if suffices(given):
+        return
+    low = given
+    high = max(2.0 * given, period)
+    while not suffices(high):
+        low = high
+        high = 2.0 * low
+        if low > _LONGEST_MOVE:
+            return
+    while high > _MOVE_PRECISION * low:
+        middle = 0.5 * (low + high)
+        if suffices(middle):
+            high = middle
+        else:
+            low = middle
+    raise limits.too_early(points.first, points.position[0] - held[0], given, high)
+
+
+def _by_degrees(
+    times: Array,
+    tables: tuple[Array, Array, Array | None],
+    degrees: NDArray[np.intp],
+    limits: JointLimits,
+    first: int,
+) -> Spline:
+    """Return the spline through points, the ways between which have the given degrees, shape (n - 1,).
+
+    Args:
+        times: s, shape (n,).
+        tables: positions, velocities and, if any are given, accelerations, shape (n, j) each.
+        degrees: 1, 3 or 5.
+        limits: whose accelerations the ramps of straight lines have, at both ends from and to the velocities there.
+        first: number of the first point, for refusals.
+    """
+    position, velocity, acceleration = tables
+    begins = np.flatnonzero(np.diff(degrees, prepend=0))
+    parts = []
+    for begin, end in zip(begins, [*begins[1:], len(degrees)], strict=True):
+        run = slice(begin, end + 1)
+        q = position[run]
+        v = velocity[run]
+        if degrees[begin] == 1:
+            parts.append(straight(times[run], q, v[0], limits, first + int(begin), v[-1]))
+        else:
+            a = acceleration[run] if acceleration is not None and degrees[begin] == 5 else None
+            parts.append(interpolate(times[run], q, v, a))
+    knots = np.concatenate([*(part.times[:-1] for part in parts), times[-1:]])
+    coefficients = np.concatenate([part.coefficients for part in parts])
+    return Spline(knots, coefficients, position[-1].copy(), max(part.blend_error for part in parts))
 
 
 def straight(
@@ -270,6 +395,7 @@ def straight(
     velocity: Array,
     limits: JointLimits,
     first: int = 0,
+    end_velocity: Array | float = 0,
 ) -> Spline:
     """Return straight lines through points, with ramps of the velocity.
 
@@ -281,6 +407,7 @@ def straight(
         velocity: at the first point, rad/s, shape (j,).
         limits: whose accelerations the ramps have.
         first: number of the first point, for refusals.
+        end_velocity: at the last point, rad/s, shape (j,).
 
     Raises:
         TrajectoryError: naming the first point that comes too early for the ramps.
@@ -289,15 +416,15 @@ def straight(
     way = np.diff(position, axis=0)
     speed = way / span[:, None]
     last = len(span) - 1
-    rest = np.zeros(position.shape[1])
+    final = np.zeros(position.shape[1]) + end_velocity
     if last == 0:
-        begin = end = _both_ends(first + 1, span[0], way[0], velocity, limits)
-        speed[0] = (way[0] - velocity * (begin / 2.0)) / (span[0] - begin)
+        begin = end = _both_ends(first + 1, span[0], way[0], (velocity, final), limits)
+        speed[0] = (way[0] - (velocity + final) * (begin / 2.0)) / (span[0] - begin)
     else:
         begin = _one_end(first + 1, span[0], way[0], velocity, limits)
         speed[0] = (way[0] - velocity * (begin / 2.0)) / (span[0] - begin / 2.0)
-        end = _one_end(first + last + 1, span[last], way[last], rest, limits)
-        speed[last] = way[last] / (span[last] - end / 2.0)
+        end = _one_end(first + last + 1, span[last], way[last], final, limits)
+        speed[last] = (way[last] - final * (end / 2.0)) / (span[last] - end / 2.0)
     change = np.diff(speed, axis=0)
     half = (np.abs(change) / (2.0 * limits.acceleration)).max(axis=1, initial=0.0)
     # The ramps at the two ends of each line leave room for each other.
@@ -313,7 +440,7 @@ def straight(
     ramp = np.concatenate([[begin], 2.0 * half, [end]])
     start = np.concatenate([[times[0]], times[1:-1] - half, [times[-1] - end]])
     cruise = np.append(start[1:], start[-1] + ramp[-1]) - (start + ramp)
-    around = np.vstack([velocity, speed, rest])
+    around = np.vstack([velocity, speed, final])
     before = around[:-1]
     after = around[1:]
     kept = np.column_stack([ramp > 0.0, cruise > 0.0]).ravel()  # those of no duration are left out
@@ -327,7 +454,10 @@ def straight(
     coefficients[:, 0] = np.cumsum(np.concatenate([position[:1], ways[:-1]]), axis=0)
     coefficients[:, 1] = np.stack([before, after], axis=1).reshape(bend.shape)[kept]
     coefficients[:, 2] = bend[kept]
-    return Spline(np.append(knots, start[-1] + ramp[-1]), coefficients, position[-1].copy())
+    blend_error = float((half[:, None] * np.abs(change)).max(initial=0.0)) / 4.0
+    return Spline(
+        np.append(knots, start[-1] + ramp[-1]), coefficients, position[-1].copy(), blend_error
+    )
 
 
 def _one_end(point: int, span: float, way: Array, velocity: Array, limits: JointLimits) -> float:
@@ -341,17 +471,20 @@ def _one_end(point: int, span: float, way: Array, velocity: Array, limits: Joint
     return float((span - np.sqrt(span * span - missing)).max())
 
 
-def _both_ends(point: int, span: float, way: Array, velocity: Array, limits: JointLimits) -> float:
-    """Return the duration of the ramps at both ends of a single line, s, from a velocity and to rest.
+def _both_ends(
+    point: int, span: float, way: Array, ends: tuple[Array, Array], limits: JointLimits
+) -> float:
+    """Return the duration of the ramps at both ends of a single line, s, from and to the velocities there.
 
-    way = (v0 + v) tau/2 + v (span - 2 tau) + v tau/2, with |v - v0| <= a tau and |v| <= a tau; each is a quadratic
-    inequality in tau.
+    way = (v0 + v) tau/2 + v (span - 2 tau) + (v + v1) tau/2, with |v - v0| <= a tau and |v - v1| <= a tau; each
+    is a quadratic inequality in tau.
     """
     a = limits.acceleration
+    (v0, v1) = ends
     least = 0.0
     most = span / 2.0
     for sign in (1.0, -1.0):
-        for b, c in ((velocity / 2.0, way), (-velocity / 2.0, way - velocity * span)):
+        for b, c in (((v0 - v1) / 2.0, way - v1 * span), ((v1 - v0) / 2.0, way - v0 * span)):
             middle = (span + sign * b / a) / 2.0
             square = middle * middle - sign * c / a
             _refuse_early(point, square < 0.0, span, way, limits)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array, Mask, array_digest
 from rx90_common.base.errors import TrajectoryError
@@ -41,6 +42,8 @@ class TrajectoryPoints:
             without meaning.
         first: number of the first point in the received trajectory.
         smooth: whether only the velocities at both ends count, see `smoothed`.
+        degrees: of the way to each point, shape (n,): 1, a straight line, where one of its two ends has no velocities,
+            3, or 5 where both have accelerations, too; None where all are alike. Values that are not given are 0.
     """
 
     times: Array
@@ -50,6 +53,7 @@ class TrajectoryPoints:
     named: Mask = field(default_factory=lambda: np.ones(0, dtype=np.bool_))
     first: int = 0
     smooth: bool = False
+    degrees: NDArray[np.intp] | None = None
 
     def __post_init__(self) -> None:
         if not self.named.size:
@@ -68,7 +72,7 @@ class TrajectoryPoints:
         partial: bool = False,
         moving_end: bool = False,
     ) -> TrajectoryPoints:
-        """Check raw points, joints in any order; empty vectors in all points, or none at all, mean "not given".
+        """Check raw points, joints in any order; an empty vector, or none at all, means "not given".
 
         Velocities within float's epsilon of 0 at the last point are 0, and a last point that repeats the one before,
         less than a millisecond later, takes its place.
@@ -102,15 +106,17 @@ class TrajectoryPoints:
                 raise TrajectoryError(
                     f"{what} of {counted(len(rows), 'point')}; accepted: {accepted}"
                 )
-        q, v, a = (joint_table(what, rows, columns, robot_joints) for what, rows in given)
+        q, v, a = (
+            joint_table(what, rows, columns, robot_joints, whole=what == "positions")
+            for what, rows in given
+        )
         if q is None:
             raise TrajectoryError(
                 "point 0: no positions; accepted: positions of all named joints in every point"
             )
-        if v is None and a is not None:
-            raise TrajectoryError(
-                "point 0: accelerations without velocities; accepted: velocities too"
-            )
+        degrees = _degrees(
+            *(rows if len(rows) else [[]] * len(times) for rows in (velocity, acceleration))
+        )
         if v is not None:
             v[-1, np.abs(v[-1]) <= _REST_VELOCITY] = 0.0
             fastest = int(np.argmax(np.abs(v[-1])))
@@ -125,6 +131,7 @@ class TrajectoryPoints:
             v,
             a,
             np.isin(np.arange(len(robot_joints)), columns),
+            degrees=degrees,
         )
 
     def smoothed(self) -> TrajectoryPoints:
@@ -138,7 +145,7 @@ class TrajectoryPoints:
         # A first point that is later than the start is passed like any other.
         ends = [0, -1] if self.times[0] == 0.0 else [-1]
         velocity[ends] = self.velocity[ends]
-        return replace(self, velocity=velocity, acceleration=None, smooth=True)
+        return replace(self, velocity=velocity, acceleration=None, smooth=True, degrees=None)
 
     def after(self, time: float) -> TrajectoryPoints:
         """Return the points later than a time, s, with times from there on."""
@@ -152,6 +159,7 @@ class TrajectoryPoints:
             velocity=velocity,
             acceleration=acceleration,
             first=self.first + int(np.count_nonzero(~later)),
+            degrees=None if self.degrees is None else self.degrees[later],
         )
 
     def held_at(self, position: Array) -> TrajectoryPoints:
@@ -212,6 +220,7 @@ def joint_table(
     columns: Sequence[int],
     robot_joints: Sequence[str],
     where: str = "point {}: ",
+    whole: bool = False,
 ) -> Array | None:
     """Return rows of values in the columns of their joints, shape (n, j), 0 elsewhere; None if all rows are empty.
 
@@ -221,6 +230,7 @@ def joint_table(
         columns: of the joints in the robot's order, one for each value.
         robot_joints: names of the joints.
         where: name of a row, for messages, formatted with its number.
+        whole: whether no row may be empty if others are not.
 
     Raises:
         TrajectoryError: naming row, joint, value and what is accepted.
@@ -228,11 +238,11 @@ def joint_table(
     if not any(len(row) for row in rows):
         return None
     for i, row in enumerate(rows):
-        if len(row) != len(columns):
-            accepted = f"{len(columns)}, or none in any point"
+        if len(row) != len(columns) and (len(row) or whole):
+            accepted = f"{len(columns)}{'' if whole else ', or none'}"
             raise TrajectoryError(f"{where.format(i)}{len(row)} {what}; accepted: {accepted}")
     table = np.zeros((len(rows), len(robot_joints)))
-    table[:, columns] = rows
+    table[:, columns] = [row if len(row) else [0.0] * len(columns) for row in rows]
     if not np.isfinite(table).all():
         i, k = np.argwhere(~np.isfinite(table[:, columns]))[0]
         value = table[i, columns[k]]
@@ -241,6 +251,23 @@ def joint_table(
             f"{where.format(i)}{what} of {name}: {value}; accepted: a finite number"
         )
     return table
+
+
+def _degrees(
+    velocity: Sequence[Sequence[float]], acceleration: Sequence[Sequence[float]]
+) -> NDArray[np.intp] | None:
+    """Return the degrees of the ways to n points from their given values, shape (n,); None if all points are alike."""
+    given = np.array([[len(row) > 0 for row in rows] for rows in (velocity, acceleration)])
+    lacking = np.flatnonzero(given[1] & ~given[0])
+    if lacking.size:
+        raise TrajectoryError(
+            f"point {lacking[0]}: accelerations without velocities; accepted: velocities too"
+        )
+    if (given == given[:, :1]).all():
+        return None
+    # The way to the first point comes from the set-point, which has all.
+    curved, quintic = given & np.concatenate([given[:, :1], given[:, :-1]], axis=1)
+    return np.asarray(1 + 2 * curved.astype(np.intp) + 2 * quintic)
 
 
 def _last_is_repeated(
@@ -291,6 +318,13 @@ def message_content(joint_names: Sequence[str], points: TrajectoryPoints) -> dic
     """
     tables = (points.position, points.velocity, points.acceleration)
     columns = [[[]] * len(points.times) if rows is None else rows.tolist() for rows in tables]
+    if points.degrees is not None:
+        # A value that a point carries counts where the way on one of its sides has the degree for it.
+        around = np.maximum(points.degrees, np.append(points.degrees[1:], 1))
+        for rows, least in zip(columns[1:], (3, 5), strict=True):
+            rows[:] = [
+                row if degree >= least else [] for row, degree in zip(rows, around, strict=True)
+            ]
     times = [divmod(round(float(time) * NANOSECONDS), NANOSECONDS) for time in points.times]
     return {
         "joint_names": list(joint_names),

@@ -1,7 +1,7 @@
 """One trajectory request, received by topic or as a goal of FollowJointTrajectory, from check to end.
 
-A request is checked by itself, on the thread that received it; joined to the motion between two ticks;
-followed, and compared with its tolerances tick by tick; and ended, with a result code and a reason. The
+A request is checked by itself, on the thread that received it; joined to the motion, outside the ticks if that may
+take long; followed, and compared with its tolerances tick by tick; and ended, with a result code and a reason. The
 rules are those of ros2_controllers' joint_trajectory_controller (docs/howto/action.md). No call reads a clock.
 """
 
@@ -23,10 +23,21 @@ from rx90_common.base.models import Model, quantity
 from rx90_common.base.quoting import counted, quoted
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_controller.trajectory.correction import Correction
-from rx90_controller.trajectory.generator import Schedule, TrajectoryGenerator
+from rx90_controller.trajectory.generator import PastError, Schedule, TrajectoryGenerator
 from rx90_controller.trajectory.points import TrajectoryPoints, check_joints, points_from_message
 
+# the rows of tolerances
+_QUANTITIES = (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s^2"))
 _ERASE = 1.2e-7  # float's epsilon: how near to -1 a tolerance erases the default
+# points, s: of a trajectory that can be joined between two ticks
+_SHORT_POINTS = 20
+_SHORT_S = 20.0
+# A long trajectory whose start is "now" begins so much later: s, for each point, and for each second of it, in which a
+# thousand set-points may have to be checked.
+_LEAD = 5e-3
+_LEAD_PER_POINT = 1e-4
+_LEAD_PER_SECOND = 5e-4
+_LEAD_GROWTH = 4  # at each further attempt
 
 
 class ResultCode(IntEnum):
@@ -40,10 +51,10 @@ class ResultCode(IntEnum):
 
 
 class GoalOptions(Model):
-    """What else is accepted, each option a parameter of the node; the first two are joint_trajectory_controller's.
+    """What else is accepted, each option a parameter of the node; the first three are joint_trajectory_controller's.
 
-    Joints that a request does not name hold, and must rest. Behind a last point with a velocity each joint brakes,
-    unless another trajectory follows.
+    Joints that a request does not name brake to rest if they move, or with `allow_trajectory_replacement` go on along
+    their trajectory. Behind a last point with a velocity each joint brakes, unless another trajectory follows.
     """
 
     allow_partial_joints_goal: Annotated[
@@ -52,6 +63,13 @@ class GoalOptions(Model):
     ] = False
     allow_nonzero_velocity_at_trajectory_end: Annotated[
         bool, Field(description="Whether the last point may have a velocity; then the arm brakes.")
+    ] = False
+    allow_trajectory_replacement: Annotated[
+        bool,
+        Field(
+            description="Whether points may be left out that are not later than the start, which leads on from where "
+            "the path is then."
+        ),
     ] = False
     velocities_from_positions: Annotated[
         bool,
@@ -114,7 +132,7 @@ class GoalTolerances:
 
     Attributes:
         names: of the joints.
-        path: of the positions along the path, rad, shape (j,).
+        path: of position rad, velocity rad/s and acceleration rad/s^2 along the path, shape (3, j).
         goal: likewise at its end.
         goal_time: how long after its end the goal may take to be reached, s; infinite for "for ever".
     """
@@ -131,8 +149,11 @@ class GoalTolerances:
         """Return the tolerances of the node's parameters, by default those that it has if none are given."""
         constraints = constraints or Constraints()
         joints = [constraints.joints.get(name, JointConstraints()) for name in names]
-        path = np.array([joint.trajectory or math.inf for joint in joints])
-        goal = np.array([joint.goal or math.inf for joint in joints])
+        path = np.full((3, len(names)), np.inf)
+        goal = np.full((3, len(names)), np.inf)
+        path[0] = [joint.trajectory or math.inf for joint in joints]
+        goal[0] = [joint.goal or math.inf for joint in joints]
+        goal[1] = constraints.stopped_velocity_tolerance or math.inf
         return cls(tuple(names), path, goal, constraints.goal_time or math.inf)
 
     @cached_property
@@ -143,8 +164,7 @@ class GoalTolerances:
     def of_goal(self, path: Sequence[Any], goal: Sequence[Any], goal_time: float) -> GoalTolerances:
         """Return these with those of a goal in their place, as joint_trajectory_controller reads them.
 
-        0, and what is no number, keeps the default, -1 erases it; of several for a joint the last one counts. Those of
-        velocity and acceleration end nothing, as there, but must be such numbers.
+        0, and what is no number, keeps the default, -1 erases it; of several for a joint the last one counts.
 
         Args:
             path: control_msgs/JointTolerance: name, position, velocity, acceleration.
@@ -167,24 +187,26 @@ class GoalTolerances:
                     raise TrajectoryError(
                         f"{what}: joint {quoted(name)} is unknown; accepted: {accepted}"
                     )
-                for field, unit in (("velocity", "rad/s"), ("acceleration", "rad/s^2")):
-                    value = float(getattr(tolerance, field))
-                    _resolved(f"{what}: {field} of {name}", unit, value, math.inf)
                 joint = self.names.index(name)
-                value = float(tolerance.position)
-                text = f"{what}: position of {name}"
-                table[joint] = _resolved(text, "rad", value, defaults[joint])
+                for row, (field, unit) in enumerate(_QUANTITIES):
+                    value = float(getattr(tolerance, field))
+                    table[row, joint] = _resolved(
+                        f"{what}: {field} of {name}", unit, value, defaults[row, joint]
+                    )
             tables.append(table)
         most = _resolved("goal_time_tolerance", "s", goal_time, self.goal_time)
         return GoalTolerances(self.names, tables[0], tables[1], most)
 
-    def worst(self, error: Array, accepted: Array) -> str | None:
-        """Return the relatively largest violation of a tolerance, in words; None without one.
+    def worst(self, error: Array, limit: Array) -> str | None:
+        """Return the relatively largest violation of a tolerance of position, in words; None without one.
+
+        joint_trajectory_controller leaves the errors of velocity and acceleration at 0 where it commands positions.
 
         Args:
             error: of position, rad, shape (j,).
-            accepted: one of `path` and `goal`.
+            limit: one of `path` and `goal`.
         """
+        accepted = limit[0]
         beyond = ~(np.abs(error) <= accepted) & np.isfinite(accepted)
         if not beyond.any():
             return None
@@ -247,7 +269,8 @@ class TrajectoryRequest:
         options: permitted exceptions at its arrival.
         remark: what was not taken of it, one line; empty for nothing.
         correction: offsets of the position set-points, played along.
-        is_goal: whether it was received as a goal: then it goes on from the running path without a jump.
+        is_goal: whether it was received as a goal: the way to its points then starts on the running path. A point at
+            the start of a topic's trajectory is followed to the bit, unless the start is past.
         on_feedback: of a goal, called by the executor's thread now and then while it is followed.
         on_result: likewise, called once it has ended.
         state: of the request; once it has ended SUCCEEDED, ABORTED or CANCELED.
@@ -290,6 +313,14 @@ class TrajectoryRequest:
         """Return whether it is compared with its tolerances: as goals are, and trajectories that these can end."""
         return self.is_goal or self.tolerances.end_motions
 
+    @property
+    def long(self) -> bool:
+        """Return whether to check it against the limits may take longer than a tick."""
+        points = self.points
+        return points is not None and (
+            len(points.times) > _SHORT_POINTS or bool(points.times[-1] > _SHORT_S)
+        )
+
     def enter(self, generator: TrajectoryGenerator, now: int) -> Schedule:
         """Let a generator follow it, or stop; `now` is the first tick that may still be changed.
 
@@ -299,9 +330,11 @@ class TrajectoryRequest:
         """
         if self.points is None:
             return generator.stop(now, self.start)
-        return generator.accept(
-            self.points, now, self.start, self.correction, smoothly=self.is_goal
-        )
+        anywhere = self.options.allow_trajectory_replacement
+        late = self.start is not None and self.start < now
+        if self.is_goal or anywhere or late:
+            return generator.join(self.points, now, self.start, self.correction, anywhere=anywhere)
+        return generator.accept(self.points, now, self.start, self.correction)
 
     def step(
         self, tick: int, desired: Array, actual: Array, trajectory: TrajectoryGenerator
@@ -407,3 +440,76 @@ def check_request(
     return TrajectoryRequest(
         message, points, start, tolerances, options, is_goal=goal is not None, remark=remark
     )
+
+
+class JoinedAhead:
+    """A request that is joined to a fork of the generator, while that goes on.
+
+    To be made between two ticks; then `compute`, outside the ticks; then, between two ticks again, `adopt` if it
+    `fits`.
+    A trajectory whose start is not in the future begins some ticks later, when it should have been joined, at each
+    attempt with more time; from rest the beginning makes no difference, and it begins as soon as it has been joined.
+
+    Args:
+        request: with points.
+        generator: that will follow it.
+        now: its first tick that may still be changed.
+        attempt: from 0 on.
+    """
+
+    def __init__(
+        self, request: TrajectoryRequest, generator: TrajectoryGenerator, now: int, attempt: int = 0
+    ) -> None:
+        points = request.points
+        start = request.start
+        assert points is not None
+        self._request = request
+        self._generator = generator
+        self._fork = generator.fork(now)
+        self._may_be_late = start is None and self._fork is not None and not self._fork.moving(now)
+        self._now = self._earliest = now
+        if not self._may_be_late and (start is None or start < now):
+            lead = (
+                _LEAD
+                + _LEAD_PER_POINT * len(points.times)
+                + _LEAD_PER_SECOND * float(points.times[-1])
+            )
+            self._earliest += round(lead / generator.period) * _LEAD_GROWTH**attempt
+        self._schedule: Schedule | None = None
+        self._error: TrajectoryError | None = None
+
+    def compute(self) -> None:
+        """Compute the motion, as the generator would."""
+        try:
+            if self._fork is not None:
+                self._schedule = self._request.enter(self._fork, self._earliest)
+        except TrajectoryError as error:
+            # All points may lie in the past by then, but perhaps not yet.
+            if not isinstance(error, PastError) or self._earliest == self._now:
+                self._error = error
+
+    def fits(self, now: int) -> bool:
+        """Return whether `adopt` may be called at this tick.
+
+        Not so where other motions have come in between, or the computation took longer than there was time for.
+        """
+        if self._fork is None or not self._generator.continues(self._fork, now):
+            return False
+        in_time = self._schedule is not None and (self._schedule.begin >= now or self._may_be_late)
+        return self._error is not None or in_time
+
+    def adopt(self, now: int) -> Schedule:
+        """Let the generator follow the request; return when it runs.
+
+        Raises:
+            TrajectoryError: why the trajectory cannot be followed.
+        """
+        if self._error is not None:
+            raise self._error
+        schedule = self._schedule
+        fork = self._fork
+        assert schedule is not None
+        assert fork is not None
+        late = max(0, now - schedule.begin)
+        self._generator.adopt(fork, late)
+        return Schedule(schedule.begin + late, schedule.end + late, schedule.blend_error)

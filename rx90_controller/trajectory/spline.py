@@ -8,19 +8,18 @@ them at every lower constant rate; the reserve is used to change the rate.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.kernels.compiled import inlined, kernel
 
 _BLOCK = 64  # ticks that are computed at once, at least
 _HALVINGS = 20
 _SLACK = 1e-3  # of the limit, as accelerations between two set-points of a path have it
-# of the powers 0 to 5 of the share of a piece: its control points
-_BEZIER = np.array([[math.comb(m, i) / math.comb(5, i) for i in range(6)] for m in range(6)])
+_MAX_PAST_LAWS = 64  # changes of the rate that questions about the past may go back to
 
 
 @dataclass(frozen=True)
@@ -31,11 +30,13 @@ class Spline:
         times: knots, s, shape (n,), increasing.
         coefficients: of powers 0 to 5 of the time since the knot, shape (n - 1, 6 powers, joints).
         final: position after the last knot, rad, shape (j,).
+        blend_error: by how much it misses the points that it is to pass, at most, rad.
     """
 
     times: Array
     coefficients: Array
     final: Array
+    blend_error: float = 0.0
 
     @property
     def duration(self) -> float:
@@ -48,21 +49,45 @@ class Spline:
         sample_spline(self.times, self.coefficients, self.final, times, setpoints)
         return setpoints
 
-    def control_points(self) -> tuple[Array, Array, Array]:
-        """Return control points of all pieces, of positions, velocities and accelerations, shape (m, j) each.
+    def bounds(self) -> tuple[Array, Array]:
+        """Return bounds of positions, velocities and accelerations, shape (3, j) each; infinite for no numbers.
 
         Between its ends a polynomial lies within its control points as a Bezier curve (Farin 2002, chapter 5).
         """
-        span = np.diff(self.times)[:, None, None]
-        position = _BEZIER @ (self.coefficients * span ** np.arange(6)[:, None])
-        velocity = 5.0 * np.diff(position, axis=1) / span
-        acceleration = 4.0 * np.diff(velocity, axis=1) / span
-        joints = self.final.size
-        return (
-            position.reshape(-1, joints),
-            velocity.reshape(-1, joints),
-            acceleration.reshape(-1, joints),
-        )
+        shape = 3, self.final.size
+        low = np.full(shape, np.inf)
+        high = np.full(shape, -np.inf)
+        _control_points(self.coefficients, np.diff(self.times), low, high)
+        return low, high
+
+
+@kernel
+def _control_points(coefficients: Array, span: Array, low: Array, high: Array) -> None:
+    """Lower `low` and raise `high`, shape (3, j), to the control points of all pieces."""
+    scaled = np.empty(6)
+    for k in range(span.size):
+        for j in range(low.shape[1]):
+            for row in range(3):
+                degree = 5 - row
+                factor = 1.0
+                for i in range(degree + 1):
+                    # The derivative's coefficient, by the share of the span.
+                    scaled[i] = coefficients[k, i + row, j] * factor
+                    factor *= span[k]
+                    for d in range(row):
+                        scaled[i] *= i + row - d
+                # Differences of the control points, upwards: b_m = sum of C(m, i)/C(degree, i) scaled_i.
+                for m in range(degree + 1):
+                    value = 0.0
+                    share = 1.0
+                    for i in range(m + 1):
+                        value += share * scaled[i]
+                        share *= (m - i) / (degree - i) if i < degree else 0.0
+                    if not abs(value) < np.inf:
+                        low[row, j] = -np.inf
+                        high[row, j] = np.inf
+                    low[row, j] = min(low[row, j], value)
+                    high[row, j] = max(high[row, j], value)
 
 
 @kernel
@@ -106,10 +131,31 @@ def smooth(times: Array, position: Array, velocity: Array) -> Spline:
         position: rad, shape (n, j).
         velocity: rad/s, shape (n, j); only the first and the last row count.
     """
-    from scipy.interpolate import CubicSpline  # takes a while
+    slopes = velocity.copy()
+    _slopes(times, position, slopes)
+    return interpolate(times, position, slopes, None)
 
-    curve = CubicSpline(times, position, bc_type=((1, velocity[0]), (1, velocity[-1])))
-    return interpolate(times, position, curve(times, 1), None)
+
+@kernel
+def _slopes(times: Array, position: Array, slopes: Array) -> None:
+    """Fill the slopes of the C2 cubic between the first and the last row, shape (n, j) (de Boor 2001, chapter IV)."""
+    # h1 s0 + 2 (h0 + h1) s1 + h0 s2 = 3 (h1 d0 + h0 d1), h: spans, d: differences of the positions by the spans.
+    last = times.size - 1
+    factor = np.zeros(times.size)
+    for i in range(1, last):
+        before = times[i] - times[i - 1]
+        after = times[i + 1] - times[i]
+        pivot = 2.0 * (before + after) - after * factor[i - 1]
+        factor[i] = before / pivot
+        for j in range(slopes.shape[1]):
+            left = (position[i, j] - position[i - 1, j]) / before
+            right = (position[i + 1, j] - position[i, j]) / after
+            slopes[i, j] = (
+                3.0 * (after * left + before * right) - after * slopes[i - 1, j]
+            ) / pivot
+    for i in range(last - 1, 0, -1):
+        for j in range(slopes.shape[1]):
+            slopes[i, j] -= factor[i] * slopes[i + 1, j]
 
 
 def interpolate(
@@ -152,11 +198,46 @@ def interpolate(
 def joined(first: Spline, at: float, second: Spline) -> Spline:
     """Return a spline that is the first one up to a time, s, and then the second one from its begin on."""
     before = first.times < at
-    rest = np.zeros((1, 6, first.final.size))  # behind the last knot of the first one
-    rest[0, 0] = first.final
-    coefficients = np.concatenate([first.coefficients, rest])[before]
     times = np.concatenate([first.times[before], at + second.times])
-    return Spline(times, np.concatenate([coefficients, second.coefficients]), second.final)
+    coefficients = np.concatenate([_and_rest(first)[before], second.coefficients])
+    blend_error = max(first.blend_error, second.blend_error)
+    return Spline(times, coefficients, second.final, blend_error)
+
+
+def _and_rest(spline: Spline) -> Array:
+    """Return the coefficients of a spline and, behind its last knot, of the rest there, shape (n, 6, j)."""
+    rest = np.zeros((1, 6, spline.final.size))
+    rest[0, 0] = spline.final
+    return np.concatenate([spline.coefficients, rest])
+
+
+def remainder(spline: Spline, at: float) -> Spline:
+    """Return the remainder of a spline from a time, s, on, with times counted from there."""
+    knots = np.concatenate([[at], spline.times[spline.times > at]])
+    return Spline(knots - at, _expanded(spline, knots[:-1]), spline.final)
+
+
+def merged(spline: Spline, other: Spline, joints: Mask) -> Spline:
+    """Return a spline whose joints in a mask of shape (j,) are those of another one."""
+    knots = np.union1d(spline.times, other.times)
+    coefficients = np.where(joints, _expanded(other, knots[:-1]), _expanded(spline, knots[:-1]))
+    return Spline(
+        knots, coefficients, np.where(joints, other.final, spline.final), spline.blend_error
+    )
+
+
+def _expanded(spline: Spline, knots: Array) -> Array:
+    """Return the coefficients of a spline by the times since other knots that include its own, shape (n, 6, j)."""
+    piece = np.maximum(np.searchsorted(spline.times, knots, side="right") - 1, 0)
+    old = _and_rest(spline)[piece]
+    since = (knots - spline.times[piece])[:, None]
+    coefficients = np.zeros_like(old)
+    for power in range(6):
+        # Taylor's formula, by Horner's scheme.
+        for n in range(5, power - 1, -1):
+            shifted = coefficients[:, power] * since
+            coefficients[:, power] = shifted + math.comb(n, power) * old[:, n]
+    return coefficients
 
 
 # Paths that are followed.
@@ -177,15 +258,12 @@ class _Law:
         self._settled = rate == wanted
 
     def at(self, ticks: Array) -> tuple[Array, Array, Array]:
-        """Return times on the path, s, rates, and their changes, 1/s, at ticks, whole or not, shape (n,) each.
-
-        A tick before the law counts as its first one.
-        """
-        since = np.maximum(ticks - self.tick, 0)
-        self._extend(int(since.max(initial=0)) + 2)
+        """Return times on the path, s, rates, and their changes, 1/s, at ticks, whole or not, shape (n,) each."""
+        since = ticks - self.tick
+        self._extend(int(since.max(initial=0.0)) + 2)
         times, rates = self._series
         last = times.size - 1
-        row = np.minimum(since.astype(np.int64), last)
+        row = np.clip(since.astype(np.int64), 0, last)
         ahead = (since - row) * self._period
         change = (rates[np.minimum(row + 1, last)] - rates[row]) / self._period
         return (
@@ -193,6 +271,14 @@ class _Law:
             rates[row] + ahead * change,
             change,
         )
+
+    def point(self, tick: int) -> tuple[float, float]:
+        """Return time, s, and rate at a tick, faster than `at`."""
+        since = tick - self.tick
+        self._extend(since + 1)
+        row = min(since, self._series.shape[1] - 1)
+        time, rate = self._series[:, row].tolist()
+        return time + (since - row) * self._period * rate, rate
 
     def settles(self, within: int) -> int | None:
         """Return the ticks until the target rate, or the end of the path, is reached; None if they are more."""
@@ -243,16 +329,17 @@ def _advance(
             return k
         at[0] = time
         sample_spline(knots, coefficients, final, at, here)
-        # The rate may always stay; how far it may change is searched for between that and the target.
+        bound = _bound(here[0], rate, wanted, limit, period)
+        # The rate may always stay; how far it may change is searched for between that and the bound.
         reachable = rate
-        beyond = wanted
-        tried = wanted
+        beyond = bound
+        tried = bound
         for _ in range(_HALVINGS):
             at[0] = time + 0.5 * period * (rate + tried)
             sample_spline(knots, coefficients, final, at, there)
             if _follows(here[0], rate, there[0], tried, limit, period):
                 reachable = tried
-                if tried == wanted:
+                if tried == bound:
                     break
             else:
                 beyond = tried
@@ -263,22 +350,38 @@ def _advance(
 
 
 @inlined
+def _bound(here: Array, rate: float, wanted: float, limit: Array, period: float) -> float:
+    """Return how far the rate may approach its target with the accelerations q'' r^2 + q' dr/dt at its beginning."""
+    change = (wanted - rate) / period
+    for j in range(limit.size):
+        slope = here[1, j]
+        bend = here[2, j] * rate * rate
+        acceleration_change = slope * change
+        room = max(limit[j] - bend if acceleration_change > 0.0 else limit[j] + bend, 0.0)
+        if abs(acceleration_change) > room:
+            change *= room / abs(acceleration_change)
+    if change == (wanted - rate) / period:
+        return wanted
+    return rate + change * period
+
+
+@inlined
 def _follows(
     before: Array, rate: float, after: Array, then: float, limit: Array, period: float
 ) -> bool:
-    """Return whether velocities q' r change by no more than the limits, and the tick begins and ends within them.
+    """Return whether velocities q' r change by no more than the limits, and the tick ends within the accelerations.
 
-    Without the last condition the path's own acceleration could grow within the tick beyond the reserve.
+    Without the second condition the path's own acceleration could grow within the tick beyond the reserve.
     """
+    follows = True
     change = (then - rate) / period
     for j in range(limit.size):
         step = after[1, j] * then - before[1, j] * rate
-        begin = before[2, j] * rate * rate + before[1, j] * change
         end = after[2, j] * then * then + after[1, j] * change
-        most = limit[j] * (1.0 + _SLACK)
-        if abs(step) > limit[j] * period or max(abs(begin), abs(end)) > most:
-            return False
-    return True
+        follows = (
+            follows and abs(step) <= limit[j] * period and abs(end) <= limit[j] * (1.0 + _SLACK)
+        )
+    return follows
 
 
 class Path(NamedTuple):
@@ -308,8 +411,9 @@ class FollowedPath:
         limit: accelerations of the joints, rad/s^2, shape (j,).
         fixed: whether it runs at full speed whatever the scaling is, as stops do.
         announced: whether its end has been announced.
-        law: of the time on the path, from its tick on; None at full speed.
+        laws: of the time on the path, each from its tick on; at full speed before the first.
         before: the path without a trajectory that has been joined to it for later; None without one.
+        oldest: the first tick for which `laws` are complete; None for `start`.
     """
 
     start: int
@@ -318,8 +422,9 @@ class FollowedPath:
     limit: Array
     fixed: bool = False
     announced: bool = False
-    law: _Law | None = None
+    laws: list[_Law] = field(default_factory=list)
     before: Path | None = None
+    oldest: int | None = None
 
     @property
     def end(self) -> int:
@@ -342,9 +447,18 @@ class FollowedPath:
 
     def states(self, ticks: Array) -> Array:
         """Return the set-points at n ticks, whole or not, shape (n, 3, j)."""
-        if self.law is None:
+        if not self.laws:
             return self.path.spline.sample((ticks - self.start) * self.period)
-        times, rates, changes = self.law.at(ticks)
+        times = (ticks - self.start) * self.period
+        rates = np.ones(len(times))
+        changes = np.zeros(len(times))
+        pending = np.ones(len(times), dtype=bool)
+        for law in reversed(self.laws):
+            rows = pending & (ticks >= law.tick)
+            times[rows], rates[rows], changes[rows] = law.at(ticks[rows])
+            pending &= ~rows
+            if not pending.any():
+                break
         setpoints = self.path.spline.sample(times)
         slope = setpoints[:, 1].copy()
         rate = rates[:, None]
@@ -355,10 +469,10 @@ class FollowedPath:
 
     def at(self, tick: int) -> tuple[float, float]:
         """Return the time on the path at a tick, s, and its rate."""
-        if self.law is None or tick < self.start:
-            return (tick - self.start) * self.period, 1.0
-        times, rates, _ = self.law.at(np.array([tick]))
-        return float(times[0]), float(rates[0])
+        for law in reversed(self.laws):
+            if tick >= law.tick:
+                return law.point(tick)
+        return (tick - self.start) * self.period, 1.0
 
     def entry(self, tick: int) -> Array:
         """Return position and its derivatives by the time on the path at a tick, shape (3, j)."""
@@ -371,7 +485,7 @@ class FollowedPath:
 
     def over(self, tick: int) -> bool:
         """Return whether it has come to its end by a tick."""
-        return tick >= self.end if self.law is None else not self.runs(tick)
+        return not self.runs(tick) if self.laws else tick >= self.end
 
     def halted(self, tick: int, most: int) -> Spline | None:
         """Return the motion to rest on the path from a tick on; None if it takes more than `most` ticks."""
@@ -379,7 +493,7 @@ class FollowedPath:
         count = law.settles(most) if self.runs(tick) else 0
         if count is None:
             return None
-        states = replace(self, law=law).setpoints(tick, count + 1)
+        states = replace(self, laws=[law]).setpoints(tick, count + 1)
         states[-1, 1:] = 0.0
         if count == 0:
             return resting(states[0, 0])
@@ -389,17 +503,22 @@ class FollowedPath:
     def delay(self, count: int) -> None:
         """Shift it by `count` ticks."""
         self.start += count
-        if self.law is not None:
-            self.law.tick += count
+        self.oldest = None if self.oldest is None else self.oldest + count
+        for law in self.laws:
+            law.tick += count
 
     def go_at(self, wanted: float, tick: int, rate: float | None = None) -> None:
         """Let the rate approach a target from `rate`, None for the present one, from a tick, or its start, on."""
         begin = max(tick, self.start)
         time, present = self.at(begin)
         rate = present if rate is None else rate
-        if self.law is not None or not rate == wanted == 1.0:
-            self.law = _Law(self, begin, time, rate, wanted)
+        self.laws = [law for law in self.laws if law.tick < begin]
+        if self.laws or not rate == wanted == 1.0:
+            self.laws.append(_Law(self, begin, time, rate, wanted))
+        if len(self.laws) > _MAX_PAST_LAWS:
+            self.oldest = self.laws[1].tick
+            del self.laws[0]
 
     def on(self, path: Path, before: Path | None = None) -> FollowedPath:
         """Return it on another path, whose past is the same."""
-        return replace(self, path=path, before=before)
+        return replace(self, path=path, before=before, laws=list(self.laws))

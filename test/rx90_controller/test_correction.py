@@ -95,8 +95,8 @@ def test_refusals_leave_everything_as_it_was(generator: TrajectoryGenerator, ste
     other = Correction(np.zeros((10, 6)), 2.0 * PERIOD)
     with pytest.raises(TrajectoryError, match=r"an offset every .*; accepted: every"):
         generator.accept(points(), 0, None, other)
-    with pytest.raises(TrajectoryError, match="begins late"):
-        generator.accept(points(), 10, 0, steady)
+    with pytest.raises(TrajectoryError, match=r"begins 0\.01 s late"):
+        generator.join(points(), 10, 0, steady, anywhere=False)
     generator.set_speed_scaling(0.5, 0)
     with pytest.raises(TrajectoryError, match=r"speed scaling 0\.5 with a correction; accepted: 1"):
         generator.accept(points(), 0, None, steady)

@@ -9,17 +9,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from joint_moves import HOME, LIMITS, NAMES, PERIOD, ZERO, move, points
+from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
+from rx90_controller.trajectory.points import message_content
 
 
 def test_a_stop_brakes_each_joint_within_its_limit_and_holds(generator: TrajectoryGenerator) -> None:
     """From the running set-point on velocity falls evenly to 0, at the limit; the place is v^2/(2 a) further."""
     generator.accept(points([1.0], [HOME + np.array([1.0, 0.5, -0.5, 0.2, 0.0, -1.0])], [ZERO]), 0, None)
     position, velocity, _ = generator.setpoints(400)[0]
-    begin, end = generator.stop(300, 400)
+    begin, end, _ = generator.stop(300, 400)
     assert (begin, end) == (400, 400 + np.ceil(np.abs(velocity).max() / 60.0 / PERIOD))
     times = np.arange(200)[:, None] * PERIOD
     ramp = np.minimum(times, np.abs(velocity) / 60.0)
@@ -40,6 +42,52 @@ def test_each_end_is_told_once(generator: TrajectoryGenerator) -> None:
     generator.delay(70, 1170)
     assert [tick for tick in range(1170, 1700) if generator.ended(tick) is not None] == [1570]
     assert told == [None] * 100
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_what_points_do_not_carry_is_interpolated_as_by_joint_trajectory_controller(seed: int) -> None:
+    """Between two points: quintic if both have accelerations, cubic if both have velocities, else a straight line.
+
+    The lines' velocity changes by ramps, from and to that of the curves beside them; a velocity between two lines
+    counts for nothing, and what is taken, made a message again, is the same motion.
+    """
+    random = np.random.default_rng(seed)
+    times = np.cumsum(random.uniform(0.8, 1.2, 7)) * (np.arange(7) > 0)
+    moves = random.random(7) < 0.6
+    bends = moves & (random.random(7) < 0.7)
+    q = HOME + np.where(times[:, None] > 0, random.uniform(-0.1, 0.1, (7, 6)), 0.0)
+    v, a = (random.uniform(-0.1, 0.1, (7, 6)) * given[:, None] for given in (moves, bends))
+    v[[0, -1]] = a[0] = 0.0
+    tables = [
+        q.tolist(),
+        *([r if m else [] for r, m in zip(t.tolist(), g, strict=True)] for t, g in ((v, moves), (a, bends))),
+    ]
+    sent = TrajectoryPoints.create(NAMES, NAMES, times.tolist(), *tables)
+    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    end = generator.accept(sent, 0, None).end
+    got = generator.setpoints(0, end + 1)
+    assert np.abs(np.diff(got[:, 1], axis=0)).max() <= 60.0 * PERIOD * (1 + 1e-9)
+    assert got[-1, 0] == pytest.approx(q[-1], abs=1e-12)
+    t = np.arange(end + 1) * PERIOD
+    for k in range(6):
+        inside = (t >= times[k]) & (t < times[k + 1])
+        most = 2 if bends[k] and bends[k + 1] else 1 if moves[k] and moves[k + 1] else 0
+        knots = [np.stack([table[i] for table in (q, v, a)[: most + 1]]) for i in (k, k + 1)]
+        want = BPoly.from_derivatives(times[k : k + 2], knots)
+        if most:
+            np.testing.assert_allclose(got[inside, 0], want(t[inside]), rtol=0, atol=1e-9)
+        else:
+            # A ramp is centred on its point, or beside a curve: there half of it is missed at most.
+            middle = np.flatnonzero(inside)[300:-300]
+            assert not got[middle, 2].any()
+            assert np.abs(got[middle, 0] - want(t[middle])).max() < 2e-3
+    messages = message_content(NAMES, sent)["points"]
+    again = ([message[name] for message in messages] for name in ("positions", "velocities", "accelerations"))
+    stamps = [message["time_from_start"] for message in messages]
+    again_times = [each["sec"] + each["nanosec"] * 1e-9 for each in stamps]
+    twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    twin.accept(TrajectoryPoints.create(NAMES, NAMES, again_times, *again), 0, None)
+    np.testing.assert_allclose(twin.setpoints(0, end + 1)[:, :2], got[:, :2], rtol=0, atol=1e-6)
 
 
 class Reference:
@@ -125,7 +173,7 @@ def other(joint: int, value: float, base: Array = HOME) -> Array:
 EDGE, SPIKE = np.full(6, 1.99), other(5, -2.0 - 2e-6)
 ADVICE = ", or velocities_from_positions, where the points' velocities do not belong to their positions"
 REFUSED: list[tuple[tuple[list[float], list[Array], list[Array]], int | None, str]] = [
-    (([0.4], [HOME + 0.1], [ZERO]), 100, "the last point is at 0.5 s, the controller's time is 0.6 s; accepted: "),
+    (([1.0], [HOME + 0.1], [ZERO]), 100, "start time 0.1 s is 0.5 s in the past; accepted: now or later"),
     (
         ([0.0, 1.0], [other(3, 0.4011, HOME + 0.4), HOME], [ZERO, ZERO]),
         None,
@@ -140,26 +188,26 @@ REFUSED: list[tuple[tuple[list[float], list[Array], list[Array]], int | None, st
     (
         ([2.0, 2.5, 4.0], [EDGE, EDGE, HOME], [ZERO, other(4, 2.0, ZERO), ZERO]),
         None,
-        "point 2: joint_5 gets the position 2.0",
+        "point 2: joint_5 gets a set-point position 2.0",
     ),
     (
         ([0.5, 0.9], [HOME, HOME + 1.0], [ZERO] * 2),
         None,
         # 15 s (1 - s) rad/s at the share s of 0.4 s.
-        "point 1: joint_1 gets the velocity 3.00741 rad/s on the way there, at 0.611 s; accepted: [-3, 3]"
+        "point 1: joint_1 gets a set-point velocity 3.00741 rad/s on the way there, at 0.611 s; accepted: [-3, 3]"
         f"{ADVICE}",
     ),
     # Points that fit between two set-points cannot hide a jump.
     (
         ([0.9, 0.9002, 0.9003, 1.2], [HOME, HOME, HOME - 0.5, HOME - 0.5], [ZERO] * 4),
         None,
-        "point 2: joint_1 gets the acceleration -3e+08 rad/s^2",
+        "point 3: joint_1 gets a set-point jump of -0.5 rad",
     ),
     # A cubic from rest to rest begins with 6 d/T^2.
     (
         ([0.5, 0.6], [HOME, HOME + 0.15], [ZERO] * 2),
         None,
-        "point 1: joint_1 gets the acceleration 90 rad/s^2 on the way there, at 0.5 s; accepted: [-60, 60]"
+        "point 1: joint_1 gets a set-point acceleration 90 rad/s^2 on the way there, at 0.500 s; accepted: [-60, 60]"
         f"{ADVICE}",
     ),
     (
@@ -170,7 +218,7 @@ REFUSED: list[tuple[tuple[list[float], list[Array], list[Array]], int | None, st
     (
         ([0.5, 0.50045, 0.5005, 1.0], [HOME, HOME, HOME + 1e-5, HOME + 0.05], [ZERO, ZERO, ZERO + 0.1, ZERO]),
         None,
-        "point 2: joint_1 gets the acceleration",
+        "point 3: joint_1 gets a set-point step of the velocity of 100.2 rad/s^2",
     ),
     # At whichever set-point it lies, minutes into a trajectory.
     *(
@@ -225,7 +273,7 @@ def test_an_arm_beyond_a_limit_is_not_led_further_out() -> None:
     inwards[2], out_again[2] = LIMITS.upper[2] + 0.01, LIMITS.upper[2] + 0.04
     generator = TrajectoryGenerator(LIMITS, PERIOD, held)
     for bad in (points([1.0], [held + 0.02], [ZERO]), points([1.0, 2.0], [inwards, out_again], [ZERO, ZERO])):
-        with pytest.raises(TrajectoryError, match=r"joint_3 (gets|has) the position"):
+        with pytest.raises(TrajectoryError, match=r"joint_3 (gets a set-point|has the) position"):
             generator.accept(bad, 0, None)
     with pytest.raises(TrajectoryError, match="joint_3"):
         TrajectoryGenerator(LIMITS, PERIOD, HOME).accept(points([2.0], [held], [ZERO]), 0, None)

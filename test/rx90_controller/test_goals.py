@@ -47,12 +47,14 @@ def test_tolerances_are_the_defaults_unless_the_goal_says_otherwise() -> None:
         )
     ).tolerances
     none = np.inf
-    assert own.path.tolist() == [0.02, none, none, none, none, none]
-    assert own.goal.tolist() == [none, none, 0.01, none, none, 0.004]
+    path = [[0.02, none] + [none] * 4, [none, 0.3] + [none] * 4, [5.0] + [none] * 5]
+    goal = [[none, none, 0.01, none, none, 0.004], [0.02, 0.02, none, 0.02, 0.02, 0.02], [none] * 6]
+    assert own.path.tolist() == path
+    assert own.goal.tolist() == goal
     assert own.goal_time == none
     after = checked(message(goal_time_tolerance=stamp(0.25))).tolerances
-    assert after.path.tolist() == [none, 0.05, none, none, none, none]
-    assert after.goal.tolist() == [none, none, 0.01, none, none, none]
+    assert after.path.tolist() == [[none, 0.05] + [none] * 4, [none] * 6, [none] * 6]
+    assert after.goal.tolist() == [[none, none, 0.01] + [none] * 3, [0.02] * 6, [none] * 6]
     assert after.goal_time == 0.25
     assert checked(message()).tolerances.goal_time == 0.5
 
@@ -63,7 +65,7 @@ def test_tolerances_are_the_defaults_unless_the_goal_says_otherwise() -> None:
         ({}, True, ResultCode.INVALID_GOAL, "is disabled; accepted"),
         ({"stamp": 0.2}, False, ResultCode.OLD_HEADER_TIMESTAMP, "the last point is at 0.8 s, the controller's"),
         ({"stamp": 11.5}, False, ResultCode.INVALID_GOAL, "start time 11.500 s, the controller's time is 1.000 s; acc"),
-        ({"seconds": 0.01}, False, ResultCode.INVALID_GOAL, "point 0: joint_1 gets the "),
+        ({"seconds": 0.01}, False, ResultCode.INVALID_GOAL, "point 0: joint_1 cannot go"),
         ({"to": HOME + 2.0 * np.eye(6)[4]}, False, ResultCode.INVALID_GOAL, "joint_5 has the position 2.5 rad"),
     ],
 )
@@ -92,16 +94,17 @@ def test_a_point_at_the_start_where_the_arm_is_succeeds_at_once(
     begins: float, speed: float, velocities: list[float]
 ) -> None:
     """What planners return for "already there", one point at time 0, is reached in its first tick; nothing moves."""
-    arm = Arm()
-    arm.trajectory.set_speed_scaling(speed, 0)
-    there = message(to=HOME + 1e-6, seconds=0.0, stamp=begins, velocities=velocities)
-    assert arm.offer("there", there) is None
-    events = arm.run(300)
-    assert [(event.key, event.state.name) for event in events] == [("there", "SUCCEEDED")]
-    assert events[0].tick == round(begins / PERIOD) + 1
-    moved = np.array(arm.setpoints)
-    assert np.abs(moved[:, 0] - HOME).max() < 1.1e-6
-    assert not moved[:, 1:].any()
+    for options in ({}, {"allow_trajectory_replacement": True}):
+        arm = Arm(**options)
+        arm.trajectory.set_speed_scaling(speed, 0)
+        there = message(to=HOME + 1e-6, seconds=0.0, stamp=begins, velocities=velocities)
+        assert arm.offer("there", there) is None
+        events = arm.run(300)
+        assert [(event.key, event.state.name) for event in events] == [("there", "SUCCEEDED")]
+        assert events[0].tick == round(begins / PERIOD) + 1
+        moved = np.array(arm.setpoints)
+        assert np.abs(moved[:, 0] - HOME).max() < 1.1e-6
+        assert not moved[:, 1:].any()
 
 
 def test_a_point_at_the_start_elsewhere_or_over_is_refused() -> None:
@@ -160,8 +163,9 @@ def test_tolerances_are_read_as_joint_trajectory_controller_reads_them() -> None
     twice = [tolerance("joint_2", 0.3), tolerance("joint_2", 0.2, np.inf), tolerance("joint_3", np.nan)]
     read = checked(message(path_tolerance=twice, goal_tolerance=[tolerance("joint_3", np.nan)]))
     assert read.remark == ""
-    assert read.tolerances.path.tolist()[1:3] == [0.2, np.inf]
-    assert read.tolerances.goal[2] == 0.01
+    assert read.tolerances.path[:, 1].tolist() == [0.2, np.inf, np.inf]
+    assert read.tolerances.path[0, 2] == np.inf
+    assert read.tolerances.goal[0, 2] == 0.01
 
 
 @pytest.mark.parametrize("at", [0, 250])

@@ -1,4 +1,4 @@
-"""Trajectories that are joined to the motion."""
+"""Trajectories that are joined to the motion: at once, or beside the ticks."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from scipy.interpolate import BPoly
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
+from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, JoinedAhead, TrajectoryRequest
 
 MOST = np.array([18.0, 12.0, 12.0, 40.0, 40.0, 60.0])
 LIMITS = JointLimits(NAMES, np.full(6, -3.0), np.full(6, 3.0), np.full(6, 4.0), MOST, 1e-3)
@@ -39,34 +40,26 @@ def hermite(times: Sequence[float], rows: Sequence[Sequence[Array]]) -> BPoly:
         (HOME + 0.4, ZERO + 0.5, "point 0: joint_1 starts at 0.5 rad/s, the set-point there moves at 0 rad/s"),
     ],
 )
-def test_a_first_point_elsewhere_is_refused(
+def test_a_first_point_elsewhere_needs_leave(
     generator: TrajectoryGenerator, first: Array, velocity: Array, words: str
 ) -> None:
-    """A point at the begin away from the set-point, or from its velocity, is refused, and the arm stays."""
+    """A point at the begin away from the set-point, or from its velocity, is refused; with leave it is left out."""
     generator.setpoints(0, 1200)
+    there = points([0.0, 0.5], [first, HOME], [velocity, ZERO])
     with pytest.raises(TrajectoryError) as caught:
-        generator.accept(points([0.0, 0.5], [first, HOME], [velocity, ZERO]), 1200, None, smoothly=True)
+        generator.join(there, 1200, None, anywhere=False)
     assert str(caught.value).startswith(words)
     assert np.all(generator.setpoints(1200, 10)[:, 0] == HOME + 0.4)
-
-
-def test_a_first_point_near_by_is_passed_or_left_out(generator: TrajectoryGenerator) -> None:
-    """Smoothly the motion goes on from the set-point; else it begins at the point, to the bit."""
-    near = HOME + 0.4005
-    for smoothly, begin in ((True, HOME + 0.4), (False, near)):
-        generator.reset(HOME + 0.4)
-        generator.accept(points([0.0, 0.5], [near, HOME], [ZERO, ZERO]), 0, None, smoothly=smoothly)
-        got = generator.setpoints(0, 600)
-        assert np.all(got[0, 0] == begin)
-        within_limits(got, MOST)
-        assert np.all(got[-1, 0] == HOME)
+    generator.join(there, 1200, None, anywhere=True)
+    within_limits(generator.setpoints(1199, 700), MOST)
+    assert np.all(generator.setpoints(1800)[0, 0] == HOME)
 
 
 def test_points_of_the_past_are_left_out(generator: TrajectoryGenerator) -> None:
     """From a stamp in the past the motion goes to the points that are still to come, at their times."""
     way = [HOME + 0.05, HOME + 0.2, HOME + 0.3, HOME + 0.1]
     velocity = [ZERO + 0.2, ZERO + 0.3, ZERO + 0.1, ZERO]
-    generator.accept(points([0.1, 0.3, 0.8, 1.2], way, velocity), 400, 100)
+    generator.join(points([0.1, 0.3, 0.8, 1.2], way, velocity), 400, 100, anywhere=False)
     got = generator.setpoints(399, 1500)
     within_limits(got, MOST)
     before = hermite([0.0, 1.0], [[HOME, ZERO], [HOME + 0.4, ZERO]])
@@ -76,7 +69,7 @@ def test_points_of_the_past_are_left_out(generator: TrajectoryGenerator) -> None
     assert np.all(got[902:, 0] == way[3])
 
 
-REQUESTS = ("accept", "accept", "accept", "scale", "scale", "halt", "stop", "delay")
+REQUESTS = ("join", "join", "accept", "scale", "scale", "halt", "stop", "delay")
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -95,8 +88,10 @@ def test_whatever_is_asked_for_the_accelerations_are_kept(seed: int) -> None:
         rates = list(0.5 * rng.uniform(-1.0, 1.0, (n, m)) * rng.integers(0, 2))
         try:
             some = points(times, list(rng.uniform(-0.4, 0.4, (n, m))), rates, names, moving_end=True)
-            if what == "accept":
-                generator.accept(some, tick, start, smoothly=bool(rng.random() < 0.5))
+            if what == "join":
+                generator.join(some, tick, start, anywhere=bool(rng.random() < 0.5))
+            elif what == "accept":
+                generator.accept(some, tick, start)
             elif what == "scale":
                 generator.set_speed_scaling(float(rng.choice([0.0, 0.02, 0.5, rng.random(), 1.0])), tick)
             elif what == "halt":
@@ -115,14 +110,34 @@ def test_whatever_is_asked_for_the_accelerations_are_kept(seed: int) -> None:
 
 
 def test_joints_that_are_not_named_hold(generator: TrajectoryGenerator) -> None:
-    """At rest they stay to the bit; while one of them moves the trajectory is refused."""
-    one = points([1.0], [HOME[:1]], None, NAMES[:1])
-    with pytest.raises(TrajectoryError, match=r"joint_2 starts at 0 rad/s, the set-point there moves at 0\.6 "):
-        generator.accept(one, 500, None)
-    generator.accept(one, 1200, None)
-    still = generator.setpoints(1200, 1200)
+    """At rest they stay to the bit; in motion they brake with their acceleration, and the named ones go their way."""
+    other = [0, 2, 3, 5]
+    names = ["joint_5", "joint_2"]
+    target = np.array([0.3, -0.5])
+    generator.join(points([1.0], [target], [np.zeros(2)], names), 500, None, anywhere=False)
+    got = generator.setpoints(499, 1600)
+    within_limits(got, MOST)
+    moving = hermite([0.0, 1.0], [[HOME, ZERO], [HOME + 0.4, ZERO]])
+    position, velocity = moving(0.5), moving(0.5, 1)
+    assert got[-1, 0, other] == pytest.approx((position + velocity**2 / (2.0 * MOST))[other], abs=1e-9)
+    named = hermite([0.0, 1.0], [[position[[4, 1]], velocity[[4, 1]]], [target, np.zeros(2)]])
+    assert got[1:1001][:, 0, [4, 1]] == pytest.approx(named(np.arange(1000) * PERIOD), abs=1e-9)
+    generator.join(points([1.0], [HOME[:1]], None, NAMES[:1]), 2200, None, anywhere=False)
+    still = generator.setpoints(2200, 1200)
     assert np.all(still[:, :, 1:] == still[0, :, 1:])
     assert still[-1, 0, 0] == HOME[0]
+
+
+def test_joints_that_are_not_named_may_follow_the_running_trajectory(generator: TrajectoryGenerator) -> None:
+    """With leave to replace, they go on to where the running trajectory leads them, as it would have."""
+    twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    twin.accept(points([1.0], [HOME + 0.4], [ZERO]), 0, None)
+    generator.join(points([0.6], [HOME[1:2] + 0.3], [np.zeros(1)], NAMES[1:2]), 500, None, anywhere=True)
+    got = generator.setpoints(500, 1000)
+    within_limits(np.concatenate([twin.setpoints(499), got]), MOST)
+    rest = [0, 2, 3, 4, 5]
+    assert got[:, 0, rest] == pytest.approx(twin.setpoints(500, 1000)[:, 0, rest], abs=1e-12)
+    assert np.all(got[601:, 0, 1] == HOME[1] + 0.3)
 
 
 def test_a_last_point_with_a_velocity_is_passed_and_braked_behind(generator: TrajectoryGenerator) -> None:
@@ -148,5 +163,19 @@ def test_accelerations_count_between_set_points_too(generator: TrajectoryGenerat
     with pytest.raises(TrajectoryError) as caught:
         generator.accept(points([0.1002, 0.1005, 0.1008, 0.5], way, [ZERO] * 4), 1200, None)
     said = str(caught.value)
-    assert said.startswith("point 1: joint_4 gets the acceleration 6666.67 rad/s^2 on the way there, at 0.1002 s; acc")
-    assert "accepted: [-40, 40], or velocities_from_positions" in said
+    assert said.startswith("point 1: joint_4 gets an acceleration of 6666.67 rad/s^2 on the way there, between two")
+    assert "at 0.1002 s; accepted: [-40, 40], or velocities_from_positions" in said
+
+
+# At the second attempt the lead is four times 5 ms, and a little for one point and one second.
+@pytest.mark.parametrize(("start", "edge"), [(None, 24), (505, 5), (500, 0)])
+def test_what_would_come_too_late_is_not_handed_over(
+    generator: TrajectoryGenerator, start: int | None, edge: int
+) -> None:
+    """On the way, one tick behind the lead, or behind a start that has been stamped: to be joined anew."""
+    generator.setpoints(0, 500)
+    back, wanted = points([1.0], [HOME], [ZERO]), GoalTolerances.of_parameters(NAMES)
+    ahead = JoinedAhead(TrajectoryRequest(None, back, start, wanted, GoalOptions(), is_goal=True), generator, 500, 1)
+    ahead.compute()
+    assert [ahead.fits(500 + late) for late in (0, edge, edge + 1)] == [True, True, False]
+    assert ahead.adopt(500 + edge).begin == 500 + edge

@@ -169,7 +169,7 @@ def test_lines_of_moveit_are_taken_with_velocities_from_their_positions(lines: t
     for plan in plans:
         sent = pilz_line(plan)
         generator = TrajectoryGenerator(setup.controller.limits(setup.robot), period(setup), sent.position[0])
-        generator.accept(sent.smoothed(), 0, None)
+        generator.join(sent.smoothed(), 0, None, anywhere=False)
         path = generator.setpoints(0, round(sent.times[-1] / period(setup)) + 2)
         oracle = CubicSpline(sent.times, sent.position, bc_type="clamped")
         ticks = np.arange(len(path) - 2) * period(setup)

@@ -17,8 +17,8 @@ from unchecked import unchecked
 from rx90_controller.trajectory.request import (
     Constraints,
     Feedback,
-    GoalOptions,
     GoalTolerances,
+    JoinedAhead,
     TrajectoryRequest,
 )
 from rx90_emulator.loop.setup import Setup
@@ -103,6 +103,28 @@ def test_a_trajectory_right_after_the_torque_is_on_again_waits_for_the_next_tick
     assert rig.run(4016, 8) == [False] + [True] * 7
     assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
     assert rig.loop.servo.rejected == 0
+
+
+def test_a_long_goal_that_is_joined_while_the_torque_goes_off_and_on_moves_the_arm(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The tick that follows releases the arm: the goal begins after it, and succeeds at its last point."""
+    rig.loop.hold(rig.states(0))
+    rig.run(0, 8)
+    compute = JoinedAhead.compute
+
+    def meanwhile(joined: JoinedAhead) -> None:
+        compute(joined)
+        rig.loop.enable(False)
+        rig.loop.enable(True)
+
+    monkeypatch.setattr(JoinedAhead, "compute", meanwhile)
+    sender, times = Sender(), np.arange(1, 41) * 0.025
+    points = [[0.1 * (3 * t**2 - 2 * t**3)] * 6 for t in times]
+    rig.loop.offer(rig.goal(trajectory(times, points), sender))
+    rig.run(8, 4)
+    assert rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
+    assert sender.ends == []
 
 
 def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
@@ -258,54 +280,3 @@ def test_a_torque_that_is_no_number_stops_the_arm(shipped: Setup, rig: Rig, bloc
     assert all(rig.run(48, 40))
     assert np.isfinite(rig.loop.command).all()
     assert np.isfinite(rig.cs7b.saturated).all()
-
-
-def quintic(rig: Rig, start: float = 0.0) -> Any:
-    """Return a trajectory of 40 points to 0.02 rad in 2 s, from a time on, s."""
-    share = np.arange(1, 41) / 40
-    positions = 0.02 * (10 * share**3 - 15 * share**4 + 6 * share**5)
-    velocities = 0.02 * (30 * share**2 - 60 * share**3 + 30 * share**4) / 2.0
-    return trajectory(2.0 * share, positions, velocities, start=start, names=rig.names)
-
-
-def test_of_a_trajectory_that_has_begun_the_rest_is_followed(rig: Rig) -> None:
-    """As by joint_trajectory_controller: a stamp that is over leaves the points still to come; none: it is refused."""
-    rig.loop.hold(rig.states(0))
-    rig.run(0, RATIO * 500)
-    rig.loop.receive(quintic(rig, start=0.1))
-    assert "accepted" in rig.around.lines[-1]
-    assert rig.cs7b.trajectory.setpoints(2100)[0, 0] == pytest.approx([0.02] * 6)
-    rig.run(RATIO * 500, RATIO * 1700)
-    rig.loop.receive(quintic(rig, start=0.1))
-    assert rig.around.lines[-1] == (
-        "trajectory rejected: the last point is at 2.1 s, the controller's time is 2.2 s; accepted: points later than "
-        "that"
-    )
-
-
-@pytest.mark.parametrize(
-    ("option", "refusal"),
-    [
-        ("allow_partial_joints_goal", "joint 'joint_1' is missing"),
-        ("allow_nonzero_velocity_at_trajectory_end", "point 39: joint_1 ends at 0.01 rad/s"),
-    ],
-)
-def test_options_of_goals_hold_for_the_topic(rig: Rig, option: str, refusal: str) -> None:
-    """A part of the joints, and a last point that moves: refused, and followed by the option."""
-    rig.loop.hold(rig.states(0))
-    given = quintic(rig)
-    some = option == "allow_partial_joints_goal"
-    if some:
-        given.joint_names = given.joint_names[1:]
-        for each in given.points:
-            each.positions, each.velocities = each.positions[1:], each.velocities[1:]
-    else:
-        given.points[-1].velocities = [0.01] * 6
-    rig.loop.receive(given)
-    assert rig.around.lines[-1].startswith(f"trajectory rejected: {refusal}")
-    rig.loop.options = GoalOptions(**{option: True})
-    rig.loop.receive(given)
-    assert "accepted" in rig.around.lines[-1]
-    held, velocity, _ = rig.cs7b.trajectory.setpoints(2000)[0]
-    assert held == pytest.approx([0.0 if some else 0.02, *[0.02] * 5])
-    assert velocity == pytest.approx([0.0 if some else 0.01] * 6)

@@ -22,6 +22,7 @@ from rx90_controller.trajectory import TrajectoryGenerator
 from rx90_controller.trajectory.request import (
     GoalOptions,
     GoalTolerances,
+    JoinedAhead,
     State,
     TrajectoryRequest,
     check_request,
@@ -205,10 +206,16 @@ class Play:
         if request.is_goal:
             request.on_result = lambda: self.ends.append(request)
             self.goals.append(request)
-        revision = self.law.trajectory.revision
-        self.loop.post(Offer(request))
-        followed = request.state is not State.ABORTED and self.loop.state.torque
-        assert (self.law.trajectory.revision != revision) == followed
+        if request.points is not None and self.loop.state.torque and self.random.random() < 0.2:
+            joined = JoinedAhead(request, self.law.trajectory, self.law.tick)
+            joined.compute()
+            self.ticks()
+            self.loop.post(Offer(request, joined))
+        if request.state is State.RECEIVED:
+            revision = self.law.trajectory.revision
+            self.loop.post(Offer(request))
+            followed = request.state is not State.ABORTED and self.loop.state.torque
+            assert (self.law.trajectory.revision != revision) == followed
         assert "\n" not in request.reason
 
     def request(self) -> TrajectoryRequest | None:

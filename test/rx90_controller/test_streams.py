@@ -320,6 +320,11 @@ def test_what_begins_too_far_away_is_refused_with_the_time_it_needs(arm: Arm, ve
     arm.take(trajectory([0.101], [away], [velocities]))
     assert arm.loop.servo.rejected == 7
     assert not arm.play([], 0.2)[:, 0].any()
+    least = float(arm.around.lines[-1].split("joint_2 cannot go -1 rad in 0.101 s ")[1].split("from ")[1][:-5])
+    arm.take(trajectory([0.98 * least], [away], [velocities]))
+    assert arm.loop.servo.rejected == 8
+    arm.take(trajectory([least], [away], [velocities]))
+    assert np.abs(arm.play([], arm.now + least + 0.1)[-1, 0] - away).max() < 1e-9
 
 
 def test_a_running_arm_takes_up_a_stream_where_that_goes_on(arm: Arm) -> None:

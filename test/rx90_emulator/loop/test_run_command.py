@@ -97,7 +97,7 @@ def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(
     own = read_yaml(config_path("robots/tx40/controller.yaml"))
     told = {f"{of}.{key}": value for of in ("servo", "feed_forward", "supervision") for key, value in own[of].items()}
     told |= {"servo.kv": [100.0] * 6, "feed_forward.coulomb": False, "constraints.goal_time": 3.0}
-    told |= {"allow_partial_joints_goal": True, "velocities_from_positions": False}
+    told |= {"allow_partial_joints_goal": True, "allow_trajectory_replacement": False}
     told = {name: value for name, value in told.items() if not name.endswith((".provenance", ".source"))}
     monkeypatch.setattr("rx90_emulator.loop.recorded_run.read_values", lambda _: told)
     assert run("rx90 replay", [str(first), *robot, "--output", str(second)]) == 0

@@ -259,12 +259,38 @@ def test_another_robot_or_rate_than_the_simulations_ends_a_controller(processes:
     done = processes.run("rx90_cell", "--ros-args", "-p", "rx90_controller:robot:=tx40")
     assert done.returncode == 3, done.stderr
     assert the_line(done.stderr).startswith("rx90_cell: the robot is 'tx40' here and 'rx90b' in the simulation")
+    states = client.node.create_publisher(JointState, "motor_states", TICK_QOS)
     mode = client.node.create_publisher(String, "time_mode", LATCHED_QOS)
     mode.publish(String(data=TimeMode(FREE_RUNNING, Rates()).text))
     controller = processes.start("rx90_controller", "--ros-args", "-p", "position_rate:=500")
-    client.spin_until(lambda: controller.returncode is not None, "the end of the controller")
+
+    def ended() -> bool:
+        states.publish(JointState())  # so that it is taken for a simulation
+        return controller.returncode is not None
+
+    client.spin_until(ended, "the end of the controller")
     assert controller.returncode == 3, controller.output
     assert "position_rate is 500 Hz here and 1000 Hz in the simulation" in controller.output
+
+
+def test_the_time_mode_counts_from_the_sender_of_the_motor_states_alone(processes: Processes, client: Client) -> None:
+    """Another process's, before and while the nodes run, ends no control, also with a publisher that sends nothing."""
+    mode = client.node.create_publisher(String, "time_mode", LATCHED_QOS)
+    strange = TimeMode(FREE_RUNNING, Rates(2000, 500), "other")
+    mode.publish(String(data=strange.text))
+    controller = processes.start("rx90_controller")
+    controller.wait_for("'free_running base_rate=2000 position_rate=500 robot=other' of a process whose")
+    states = client.node.create_publisher(JointState, "motor_states", TICK_QOS)
+    processes.start("rx90_sim", "--ros-args", "-p", "real_time_factor:=0.0")
+    controller.wait_for("the simulation is there|ready: ")
+    client.spin_until(lambda: states.get_subscription_count() > 0, "the controller's ear")
+    for text in ("sometimes", strange.text, TimeMode(FREE_RUNNING, Rates()).text):
+        mode.publish(String(data=text))
+    client.send([(1.0, [0.01] * 6), (2.0, [0.0] * 6)])
+    controller.wait_for("trajectory accepted: 2 points")
+    controller.wait_for("trajectory ended")
+    assert controller.returncode is None
+    assert controller.output.count("of a process whose /motor_states are not followed") == 1
 
 
 def test_a_diverging_arm_ends_the_run_with_joint_and_tick(

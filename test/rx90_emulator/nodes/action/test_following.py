@@ -209,7 +209,7 @@ def test_a_goal_may_end_with_a_velocity_and_begin_where_the_path_is(bench: Bench
     from action_client import goal, point
 
     bench.home()
-    with allowed(bench, "allow_nonzero_velocity_at_trajectory_end"):
+    with allowed(bench, "allow_nonzero_velocity_at_trajectory_end"), allowed(bench, "allow_trajectory_replacement"):
         _, first = bench.begin(goal(point(0.3, [0.03] * 6, [0.1] * 6), point(0.6, [0.05] * 6)))
         bench.time.run(0.2)
         points = [point(0.0, [9.0] * 6), point(0.3, [0.04] * 6, [0.1] * 6)]
