@@ -135,12 +135,13 @@ def sliding(sets: int) -> None:
             began = time.perf_counter()
             fit = identify_sliding(disturbed, arm)
             tally.seconds.append(time.perf_counter() - began)
-            for estimate, element in zip(fit.estimates, friction.elements, strict=True):
-                for name, found in estimate.parameters.items():
+            named = zip(arm.element_names, fit.estimates, friction.elements, strict=True)
+            for joint, estimates, element in named:
+                for name, found in estimates.items():
                     true = element.parameters[name]
                     error = found.value / true - 1.0 if found.identifiable else np.nan
                     score = (found.value - true) / found.deviation if found.identifiable else np.nan
-                    tally.add(f"{name} of {estimate.element}", error, score)
+                    tally.add(f"{name} of {joint}", error, score)
     _print(
         "sliding parameters",
         {f"noise of the rig x {level:g}": tally for level, tally in tallies.items()},
@@ -166,7 +167,8 @@ def presliding(sets: int) -> None:
             fit = identify_presliding(records, arm, known)
             elapsed = time.perf_counter() - began
             for one in outcomes(fit.estimates, friction.elements):
-                tallies[level, one.parameter].add(one.element, one.error, one.score)
+                name = arm.element_names[one.element]
+                tallies[level, one.parameter].add(name, one.error, one.score)
             for name in ("c0", "c1"):
                 tallies[level, name].seconds.append(elapsed)
     _print(

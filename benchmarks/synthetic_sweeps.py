@@ -17,7 +17,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.rigid_torque import rigid_torque
-from rx90_emulator.identification.estimates import PRESLIDING, SLIDING, ElementEstimate
+from rx90_emulator.identification.estimates import PRESLIDING, SLIDING, Estimates
 from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, make_plan
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.loop.closed_loop import simulate
@@ -178,7 +178,7 @@ class Run:
 class Outcome(NamedTuple):
     """One estimate against the truth: relative error, and error in standard deviations; NaN if not identifiable."""
 
-    element: str
+    element: int
     parameter: str
     error: float
     score: float
@@ -189,17 +189,15 @@ class Outcome(NamedTuple):
         return self.error == self.error
 
 
-def outcomes(
-    estimates: Sequence[ElementEstimate], truth: Sequence[FrictionElement]
-) -> list[Outcome]:
+def outcomes(estimates: Sequence[Estimates], truth: Sequence[FrictionElement]) -> list[Outcome]:
     """Return what became of c0 and c1 of every element."""
     found = []
-    for estimate, element in zip(estimates, truth, strict=True):
+    for number, (estimate, element) in enumerate(zip(estimates, truth, strict=True)):
         for name in PRESLIDING:
-            one, true = estimate.parameters[name], element.parameters[name]
+            one, true = estimate[name], element.parameters[name]
             error = one.value - true  # NaN if it is not identifiable
             score = error / one.deviation if one.identifiable else error
-            found.append(Outcome(estimate.element, name, error / true, score))
+            found.append(Outcome(number, name, error / true, score))
     return found
 
 

@@ -20,7 +20,7 @@ Leaving out a block takes one Gauss-Newton step from the fit to all rows, which 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -77,11 +77,6 @@ class Gain:
         return bool(not self.bound and (self._is_clear or (self.together and self.share > 0.0)))
 
     @property
-    def by_all(self) -> bool:
-        """Return whether it does so because of all elements together."""
-        return self.kept and not self._is_clear
-
-    @property
     def _is_clear(self) -> bool:
         return self.share > self.errors * self.deviation
 
@@ -90,36 +85,17 @@ class Gain:
         """Return why it does or does not, in words."""
         if self.bound:
             return f"{self.bound} ends at a bound"
-        needed = (
-            "" if self.errors == STANDARD_ERRORS else f", {self.errors:g} times which is needed"
-        )
         return (
             f"left-out error {100.0 * self.share:.2g} % less, with a standard error of "
-            f"{100.0 * self.deviation:.2g} %{needed}"
+            f"{100.0 * self.deviation:.2g} %"
         )
 
 
-class Trial(NamedTuple):
-    """What a part brings an element, beside the others that it has.
-
-    Attributes:
-        element: its number.
-        part: that was tried.
-        gain: by it.
-    """
-
-    element: int
-    part: Part
-    gain: Gain
-
-
-@dataclass(frozen=True, eq=False)
-class Choice:
-    """The chosen laws, their fit, and the trials."""
+class Choice(NamedTuple):
+    """The chosen laws, and their fit."""
 
     laws: tuple[Law, ...]
     fit: Fit
-    trials: tuple[Trial, ...]
 
 
 Parts = frozenset[Part]
@@ -157,7 +133,6 @@ def choose(
     rows: FrictionRows,
     parts: Sequence[Part],
     laws: Sequence[Law],
-    progress: Callable[[str], None] = lambda _: None,
 ) -> Choice:
     """Choose the parts of each element's law.
 
@@ -165,35 +140,24 @@ def choose(
         rows: the equations.
         parts: to try.
         laws: that each element has at least, such as Coulomb and viscous friction.
-        progress: called with the names of the parts before each trial.
     """
     candidates: dict[Parts, _Fitted] = {}
     weight = None
     for some in reversed(_combinations(parts)):
-        progress(
-            ", ".join(part.value for part in Part if part in some) or "Coulomb and viscous friction"
-        )
         richer_laws = [replace(law, parts=law.parts | some) for law in laws]
         candidates[some] = _Fitted(richer_laws, fit_laws(rows, richer_laws, weight), some)
         weight = candidates[some].fit.weight
     chosen = []
     known = []
-    trials = []
     for number in range(len(laws)):
-        best = _best(rows, number, candidates)
-        chosen.append(candidates[best].laws[number])
-        known.append(candidates[best].values[number])
-        for part in parts:
-            if part is not Part.BRISTLE:
-                richer = candidates.get(best | {part}, candidates[best])
-                gain = _gain(rows, number, candidates[_less(best, part)], richer)
-                trials.append(Trial(number, part, gain))
-    choice = Choice(tuple(chosen), fit_laws(rows, chosen, None, known), tuple(trials))
+        best = candidates[_best(rows, number, candidates)]
+        chosen.append(best.laws[number])
+        known.append(best.values[number])
+    choice = Choice(tuple(chosen), fit_laws(rows, chosen, None, known))
     choice = without_bound_parts(rows, choice)
     tried = [number for number, law in enumerate(choice.laws) if Part.STRIBECK in law.parts]
     if Part.BRISTLE not in parts or not tried:
         return choice
-    progress(Part.BRISTLE.value)
     return _with_bristles(rows, choice, tried)
 
 
@@ -234,13 +198,19 @@ def _gain(rows: FrictionRows, number: int, before: _Fitted, after: _Fitted) -> G
     element_rows = rows.elements[number].rows
     squares = before.squares[element_rows], after.squares[element_rows]
     gain = Gain(*held_out_gain(rows.block[element_rows], *squares), after.bound(number))
-    both = {Part.STRIBECK, Part.EXPONENT}
-    if after.laws[number].parts >= both and not before.laws[number].parts >= both:
-        return replace(gain, errors=BOTH_ERRORS)
+    errors = needed_errors(before.laws[number].parts, after.laws[number].parts)
+    if errors > STANDARD_ERRORS:
+        return replace(gain, errors=errors)
     if after.parts - before.parts == {Part.EXPONENT}:
         total, error = held_out_gain(rows.block, before.squares, after.squares)
         return replace(gain, together=total > STANDARD_ERRORS * error)
     return gain
+
+
+def needed_errors(before: Parts, after: Parts) -> float:
+    """Return how many standard errors a gain by richer parts must exceed."""
+    both = {Part.STRIBECK, Part.EXPONENT}
+    return BOTH_ERRORS if after >= both and not before >= both else STANDARD_ERRORS
 
 
 def _with_bristles(rows: FrictionRows, choice: Choice, tried: Sequence[int]) -> Choice:
@@ -252,15 +222,13 @@ def _with_bristles(rows: FrictionRows, choice: Choice, tried: Sequence[int]) -> 
     after = _Fitted(
         [*laws], fit_laws(rows, laws, choice.fit.weight, before.values), frozenset(Part)
     )
-    trials = [Trial(number, Part.BRISTLE, _gain(rows, number, before, after)) for number in tried]
-    for trial in trials:
-        if not trial.gain.kept:
-            laws[trial.element] = choice.laws[trial.element]
-    choice = replace(choice, trials=(*choice.trials, *trials))
+    for number in tried:
+        if not _gain(rows, number, before, after).kept:
+            laws[number] = choice.laws[number]
     if tuple(laws) == choice.laws:
         return choice
     result = fit_laws(rows, laws, known=_known(after.laws, laws, after.fit))
-    return without_bound_parts(rows, replace(choice, laws=tuple(laws), fit=result))
+    return without_bound_parts(rows, Choice(tuple(laws), result))
 
 
 def without_bound_parts(rows: FrictionRows, choice: Choice) -> Choice:
@@ -274,7 +242,7 @@ def without_bound_parts(rows: FrictionRows, choice: Choice) -> Choice:
     if tuple(laws) == choice.laws:
         return choice
     result = fit_laws(rows, laws, known=_known(choice.laws, laws, choice.fit))
-    return without_bound_parts(rows, replace(choice, laws=tuple(laws), fit=result))
+    return without_bound_parts(rows, Choice(tuple(laws), result))
 
 
 def _known(before: Sequence[Law], laws: Sequence[Law], result: Fit) -> list[dict[str, float]]:

@@ -53,12 +53,10 @@ class Deviations:
     Attributes:
         covariance: shape (q + p, q + p); 0 in rows and columns of parameters that are at a bound or not determined.
         determined: whether the rows determine a parameter that is not at a bound, shape (q + p,).
-        blocks: in which a parameter shows, shape (q + p,).
     """
 
     covariance: Array
     determined: Mask
-    blocks: Array
 
     @property
     def deviation(self) -> Array:
@@ -97,7 +95,7 @@ def deviations(result: Fit) -> Deviations:
     covariance = inverse_root @ middle @ inverse_root.T * np.outer(wider, wider)
     covariance[~determined] = 0.0
     covariance[:, ~determined] = 0.0
-    return Deviations(covariance, determined, blocks)
+    return Deviations(covariance, determined)
 
 
 def law_deviations(
@@ -139,7 +137,7 @@ def law_deviations(
     places = np.flatnonzero(chosen + [True] * len(result.linear))
     determined = whole.determined[places]
     determined[: len(result.x)] &= ~result.at_bound
-    return Deviations(whole.covariance[np.ix_(places, places)], determined, whole.blocks[places])
+    return Deviations(whole.covariance[np.ix_(places, places)], determined)
 
 
 def student_factor(freedom: float) -> float:

@@ -61,7 +61,6 @@ class FrictionRows:
         group: of equal noise, shape (r,).
         block: of independent errors, shape (r,).
         prior: as in `Problem`.
-        prior_target: as in `Problem`.
     """
 
     target: Array
@@ -70,7 +69,6 @@ class FrictionRows:
     group: Index
     block: Index
     prior: Array | None = None
-    prior_target: Array | None = None
     _kept: dict[int, tuple[Law, bytes, tuple[Array, Array]]] = field(
         default_factory=dict, repr=False
     )
@@ -100,7 +98,6 @@ class FrictionRows:
             group=self.group,
             block=self.block,
             prior=self.prior,
-            prior_target=self.prior_target,
         )
 
     def _torque(self, number: int, law: Law, x: Array) -> tuple[Array, Array]:

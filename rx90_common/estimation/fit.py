@@ -60,8 +60,7 @@ class Problem:
         upper: shape (q,).
         group: number of each row's group of equal noise, from 0, shape (r,).
         block: number of each row's block; errors of different blocks are independent, shape (r,).
-        prior: rows `prior @ p = prior_target` with noise 1, of what is known of the linear parameters, shape (s, p).
-        prior_target: shape (s,).
+        prior: rows `prior @ p = 0` with noise 1, of what is known of the linear parameters, shape (s, p).
         spread: standard deviation of what is known of each parameter about `start`; infinite if nothing is, (q,).
     """
 
@@ -74,16 +73,12 @@ class Problem:
     group: Index
     block: Index
     prior: Array | None = None
-    prior_target: Array | None = None
     spread: Array | None = None
 
     @property
-    def prior_rows(self) -> tuple[Array, Array]:
-        """Return matrix, (s, p), and target, (s,), of the linear parameters' prior; without rows if there is none."""
-        if self.prior is None:
-            return np.empty((0, self.linear.shape[1])), np.empty(0)
-        target = np.zeros(len(self.prior)) if self.prior_target is None else self.prior_target
-        return self.prior, target
+    def prior_rows(self) -> Array:
+        """Return the rows of the linear parameters' prior, (s, p); none if there is none."""
+        return np.empty((0, self.linear.shape[1])) if self.prior is None else self.prior
 
     @cached_property
     def known(self) -> Index:
@@ -134,7 +129,7 @@ class Fit:
         """Return the inverse covariance of what is known of x and the linear parameters, shape (q + p, q + p)."""
         count = len(self.x)
         information = np.zeros((count + self.problem.linear.shape[1],) * 2)
-        matrix = self.problem.prior_rows[0]
+        matrix = self.problem.prior_rows
         information[count:, count:] = matrix.T @ matrix
         known = self.problem.known
         if self.problem.spread is not None:
@@ -194,8 +189,7 @@ class Projected:
     def __init__(self, problem: Problem, weight: Array) -> None:
         self._problem = problem
         self._root = np.sqrt(weight)
-        matrix, self._prior_target = problem.prior_rows
-        self._columns = np.vstack([problem.linear * self._root[:, None], matrix])
+        self._columns = np.vstack([problem.linear * self._root[:, None], problem.prior_rows])
         self._basis = independent_basis(self._columns)
         # residuals and derivatives are asked for at the same values
         self._kept = lru_cache(1)(self._at)
@@ -215,7 +209,7 @@ class Projected:
         """Return the best linear parameters."""
         value, _ = self._weighted(x)
         size = _lengths(self._columns)
-        return np.asarray(np.linalg.lstsq(self._columns / size, value, rcond=RANK)[0] / size)
+        return np.linalg.lstsq(self._columns / size, value, rcond=RANK)[0] / size
 
     def best_start(self, starts: Iterable[Array], moved: Mask) -> Array:
         """Return the start from which one linear step of some parameters leaves the least squares, step included.
@@ -268,11 +262,10 @@ class Projected:
 
     def _weighted(self, x: Array) -> tuple[Array, Array]:
         torque, slopes = self._problem.model(x)
-        value = np.concatenate([(self._problem.target - torque) * self._root, self._prior_target])
-        slopes = np.vstack(
-            [slopes * self._root[:, None], np.zeros((len(self._prior_target), len(x)))]
-        )
-        return value, slopes
+        both = np.column_stack([self._problem.target - torque, slopes]) * self._root[:, None]
+        prior = np.zeros((len(self._problem.prior_rows), both.shape[1]))
+        value, slopes = np.split(np.vstack([both, prior]), [1], axis=1)
+        return value[:, 0], slopes
 
 
 def independent_basis(columns: Array) -> Array:
@@ -302,7 +295,7 @@ def _fitted(problem: Problem, start: Array, weight: Array) -> Fit:
             xtol=TOLERANCE,
             max_nfev=MOST_EVALUATIONS,
         )
-        x = np.asarray(result.x)
+        x = result.x
     linear = projected.linear(x)
     torque, slopes = problem.model(x)
     residual = problem.target - torque - problem.linear @ linear
@@ -336,4 +329,4 @@ def _at_bound(problem: Problem, x: Array, residual: Array, jacobian: Array) -> M
         np.linalg.lstsq(jacobian[:, free] / size[free], -residual, rcond=SQUARED_RANK)[0]
         / size[free]
     )
-    return np.asarray(near | (x + step < problem.lower) | (x + step > problem.upper))
+    return near | (x + step < problem.lower) | (x + step > problem.upper)

@@ -247,37 +247,29 @@ class Law:
     def natural(self, x: Array) -> tuple[dict[str, float], Array]:
         """Return the parameters that the law has by the names of FRICTION_UNITS, and their derivatives, (n, k)."""
         values = self.values(x)
-        place = {name: k for k, name in enumerate(self.names)}
-        found: dict[str, float] = {}
-        rows = []
-
-        def state(name: str, value: float, slopes: Mapping[str, float]) -> None:
-            found[name] = value
-            row = np.zeros(len(self.names))
-            for fitted, slope in slopes.items():
-                row[place[fitted]] += slope
-            rows.append(row)
-
+        unit = dict(zip(self.names, np.eye(len(self.names)), strict=True))
+        natural: dict[str, tuple[float, Array]] = {}
+        coulomb_slopes = []
         for sign in ("positive", "negative"):
-            coulomb = f"tau_c_{sign}" if f"tau_c_{sign}" in place else "tau_c"
-            rise = f"rise_{sign}" if self.signed else "rise"
-            state(f"tau_c_{sign}", values[f"tau_c_{sign}"], {coulomb: 1.0})
+            coulomb = values[f"tau_c_{sign}"]
+            slopes = unit[f"tau_c_{sign}" if f"tau_c_{sign}" in unit else "tau_c"]
+            natural[f"tau_c_{sign}"] = (coulomb, slopes)
+            coulomb_slopes.append(slopes)
             if Part.STRIBECK in self.parts:
-                static = values[f"tau_c_{sign}"] + values[f"rise_{sign}"]
-                state(f"tau_s_{sign}", static, {coulomb: 1.0, rise: 1.0})
-        state("c2", values["c2"], {"c2": 1.0})
+                rise = unit[f"rise_{sign}" if self.signed else "rise"]
+                natural[f"tau_s_{sign}"] = (coulomb + values[f"rise_{sign}"], slopes + rise)
+        natural["c2"] = (values["c2"], unit["c2"])
         for name in self.shapes:
             if name != "stiffness":
-                state(name, values[name], {name: values[name]})
+                natural[name] = (values[name], values[name] * unit[name])
         if Part.BRISTLE in self.parts:
             mean = 0.5 * (values["tau_c_positive"] + values["tau_c_negative"])
             stiffness = values["stiffness"]
-            share = {name: stiffness * 0.5 for name in self.names if name.startswith("tau_c_")} or {
-                "tau_c": stiffness
-            }
-            state("c0", stiffness * mean, {**share, "stiffness": stiffness * mean})
-            state("c1", values["c1"], {"c1": 1.0})
-        return found, np.array(rows)
+            slopes = 0.5 * stiffness * sum(coulomb_slopes) + stiffness * mean * unit["stiffness"]
+            natural["c0"] = (stiffness * mean, slopes)
+            natural["c1"] = (values["c1"], unit["c1"])
+        slopes_of = np.array([slopes for _, slopes in natural.values()])
+        return {name: value for name, (value, _) in natural.items()}, slopes_of
 
     def element(self, x: Array, assumed: Mapping[str, float]) -> FrictionElement:
         """Return the element of fitted parameters, with `assumed` ones for those that the law lacks (c0, c1 and so on).

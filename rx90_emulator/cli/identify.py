@@ -27,7 +27,6 @@ from rx90_emulator.identification.options import (
     EMULATED,
     MODEL_PARTS,
     RECORDED,
-    SLIDING_PARTS,
     MeasuredLayout,
     RobotOptions,
 )
@@ -67,9 +66,7 @@ def _add_sliding(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--presliding", type=Path, nargs="+", default=[], metavar="BAG",
                         help="micro-oscillations, 500 samples per second or more; else c0 and c1 are those of "
                         "--fallback, or assumed")  # fmt: skip
-    _add_identification(
-        parser, SLIDING_PARTS, "friction file to write (.yaml), with the report beside it (.html)"
-    )
+    _add_identification(parser, "friction file to write (.yaml), with the report beside it (.html)")
     add_force(parser)
     _add_tolerances(parser, _TORQUE, RECORDED.total)
     add_arm_arguments(parser)
@@ -81,7 +78,12 @@ def _add_excitation(parser: argparse.ArgumentParser) -> None:
         parser,
         "runs in which all joints move, without plateaus, or a folder that rx90 experiment wrote",
     )
-    _add_identification(parser, MODEL_PARTS, "folder for robot files, report and parameters")
+    _add_identification(parser, "folder for robot files, report and parameters")
+    parts = (COULOMB_VISCOUS, *MODEL_PARTS)
+    parser.add_argument("--model", nargs="+", choices=parts, metavar="PART",
+                        help="give these parts to the friction of all elements, without a choice: "
+                        f"{', '.join(parts)}; Coulomb and viscous friction are always there, and "
+                        "a part that ends at a bound of its range goes (what predicts better is chosen)")  # fmt: skip
     parser.add_argument("--no-rotors", action="store_true", help="of an arm of --urdf: leave the inertias of rotors "
                         "out, for torques of sensors between gear and link")  # fmt: skip
     _add_bandwidth(parser, "of the low-pass of the positions, a third of it for torques (the widest with clean "
@@ -110,13 +112,9 @@ def _add_bags(parser: argparse.ArgumentParser, text: str) -> None:
     parser.add_argument("bags", type=Path, nargs="+", metavar="BAG", help=text)
 
 
-def _add_identification(parser: argparse.ArgumentParser, parts: Sequence[str], output: str) -> None:
+def _add_identification(parser: argparse.ArgumentParser, output: str) -> None:
     parser.add_argument("--validation", type=Path, nargs="+", default=[], metavar="BAG",
                         help="a run to hold the result against, not used before")  # fmt: skip
-    parser.add_argument("--model", nargs="+", choices=(COULOMB_VISCOUS, *parts), metavar="PART",
-                        help="give these parts to the friction of all elements, without a choice: "
-                        f"{', '.join((COULOMB_VISCOUS, *parts))}; Coulomb and viscous friction are always there, and "
-                        "a part that ends at a bound of its range goes (what predicts better is chosen)")  # fmt: skip
     add_output(parser, place, output, metavar="FILE", required=True)
 
 
@@ -151,7 +149,7 @@ def _sliding(options: argparse.Namespace) -> int:
     robot = _robot(options)
     tolerances = _tolerances(options)
     against = job.run_identification(
-        lambda step: identify.identify_friction(bags, robot, tolerances, step, model=options.model),
+        lambda step: identify.identify_friction(bags, robot, tolerances, step),
         options.output,
         folder=False,
         force=options.force,

@@ -28,16 +28,15 @@ import xml.etree.ElementTree as ET
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
-from scipy.linalg import null_space
 from scipy.optimize import least_squares
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import listed
 from rx90_common.description.robot import joint_of
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.fitted import FittedArm
@@ -299,17 +298,13 @@ MASS = 3.0
 """Weight of the logarithm of a described mass: it is weighed, while how it is distributed is often a guess."""
 MOST_EVALUATIONS = 1000
 """For each weight of the description: a valley of few accurate rows takes hundreds."""
-OPEN_SHARE = 0.5
-"""Of the description's variance of a mass: where more remains after the runs, the description decides."""
 FAR = 2.0
 """Standard deviations, RMS, beyond which bodies are far from the base parameters."""
 _TOOL = "tool"  # the link that a tool file adds: its inertial is known
-_NULL = 1e-6  # largest entry in the null space of a parameter that is determined by itself
 _ABOVE = np.triu_indices(4, 1)
 
 
-@dataclass(frozen=True, eq=False)
-class BaseEstimate:
+class BaseEstimate(NamedTuple):
     """Identified base parameters.
 
     Attributes:
@@ -344,8 +339,7 @@ class BaseEstimate:
         return cls(problem.base.combination, fitted.fit.linear, root, known)
 
 
-@dataclass(frozen=True, eq=False)
-class ConsistentInertias:
+class ConsistentInertias(NamedTuple):
     """Possible bodies and rotors near the identified values.
 
     Attributes:
@@ -356,8 +350,6 @@ class ConsistentInertias:
         base: their base parameters, shape (p,).
         shift: base parameters less the identified ones, shape (p,).
         distance: length of the shift in standard deviations, RMS: at most about 1 within the noise.
-        alone: which standard parameters the data determine individually, not only as part of a sum, shape (P,).
-        open: joints where the prior, not the data, determines the mass of the bodies, shape (n,).
     """
 
     prior: InertialPrior
@@ -367,8 +359,6 @@ class ConsistentInertias:
     base: Array
     shift: Array
     distance: float
-    alone: Mask
-    open: Mask
 
 
 class _Bodies:
@@ -401,7 +391,7 @@ class _Bodies:
     def pseudo(self, numbers: Array) -> Array:
         """Return the bodies, shape (b, 4, 4)."""
         factors = self._factors @ self._relative(numbers)
-        return np.asarray(factors @ np.swapaxes(factors, 1, 2))
+        return factors @ np.swapaxes(factors, 1, 2)
 
     def behind(self, numbers: Array) -> Array:
         """Return rotors, springs and others, shape (P - 10 n,)."""
@@ -433,17 +423,6 @@ class _Bodies:
         first = 10 * len(self._joint)
         slopes[len(self._known) :, first:] = np.diag(ends)
         return slopes
-
-    def open_masses(self, numbers: Array, information: Array) -> Mask:
-        """Return the joints where the data leave more than half of the variance that the prior gives the mass."""
-        slopes = self.slopes(numbers)[: len(self._known) : 10]
-        prior = np.where(
-            self.prior_weight > 0.0, 1.0 / np.maximum(self.prior_weight, 1e-9) ** 2, 0.0
-        )
-        alone = np.sum(slopes**2 * prior, axis=1)
-        total = information.T @ information + np.diag(self.prior_weight**2)
-        after = np.einsum("ij,jk,ik->i", slopes, np.linalg.pinv(total, hermitian=True), slopes)
-        return np.asarray(after > OPEN_SHARE * alone)
 
     def _relative(self, numbers: Array) -> Array:
         own = numbers[: 10 * len(self._joint)].reshape(-1, 10)
@@ -513,19 +492,10 @@ def consistent_inertias(
         base=base,
         shift=shift,
         distance=distance,
-        alone=_alone(estimate.mapping[estimate.determined]),
-        open=bodies.open_masses(numbers, whitened @ bodies.slopes(numbers)),
     )
 
 
-def _alone(mapping: Array) -> Mask:
-    """Return which parameters have no entry in the null space of a mapping: they are determined individually, (P,)."""
-    null = null_space(mapping / np.maximum(np.linalg.norm(mapping, axis=0), 1e-300), rcond=1e-9)
-    return np.asarray(np.linalg.norm(null, axis=1) < _NULL)
-
-
-@dataclass(frozen=True, eq=False)
-class Consistency:
+class Consistency(NamedTuple):
     """Possible inertias, and their cost.
 
     Attributes:
@@ -543,17 +513,6 @@ class Consistency:
         return (
             f"bodies in the files: {self.inertias.distance:.2g} standard deviations from the base parameters (RMS; up "
             f"to about 1 is noise); torque RMS in the low-pass of the fit {after:.1%} with them, {before:.1%} without"
-        )
-
-    @property
-    def open_text(self) -> str:
-        """Return in words the joints whose masses the runs do not determine, and the values used; "" if none."""
-        joints = np.array(self.inertias.prior.joints)[self.inertias.open].tolist()
-        if not joints:
-            return ""
-        return (
-            f"masses that the runs do not determine: those at {listed(joints)} stay near the description's, or near "
-            "ellipsoids along the links where it has none"
         )
 
     @property

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import quoted
-from rx90_common.estimation.law import Part
+from rx90_common.estimation.law import Law, Part
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import LUGRE_PASSIVITY
 from rx90_common.friction.parts.part import MIN_SPEED
 from rx90_emulator.identification.options import COULOMB_VISCOUS, MODEL_PARTS
-from rx90_emulator.identification.records import BagSource
 
 SLIDING = (
     "tau_c_positive",
@@ -33,8 +33,6 @@ PRESLIDING = ("c0", "c1")
 PARAMETERS = (*SLIDING, VISCOUS_EXPONENT, *PRESLIDING)
 LARGEST_DEVIATION = 0.3
 """Relative standard deviation of c0 or c1, up to which it is identifiable."""
-NOT_IN_MODEL = "the model that was asked for does not have it"
-"""Why a parameter has no estimate if its part is not in the model that the user asked for: the part is off."""
 _DAMPING_FADE_SPEED = 1.0  # rad/s, as of the shipped RX90B
 _MAX_DECIMALS = 7
 LARGEST = 1e12
@@ -131,34 +129,69 @@ class FrictionCurve:
         friction = float(np.sqrt(np.mean(self.torque**2)))
         return self.rms / friction if friction > 0.0 else math.nan
 
-    @property
-    def chi2(self) -> float:
-        """Return the mean square of the residuals over what the samples' noise leaves; 1 for noise alone."""
-        return float(
-            np.mean(((self.torque - self.fitted) / np.maximum(self.deviation, 1e-12)) ** 2)
-        )
+
+Estimates: TypeAlias = dict[str, ParameterEstimate]
+"""Estimates of one element, by all or some of the names in PARAMETERS, in that order."""
 
 
-@dataclass(frozen=True, eq=False)
-class ElementEstimate:
-    """The parameters of one friction element.
+def unknown_estimates(names: Sequence[str], reason: str) -> Estimates:
+    """Return the estimates of parameters none of which is identifiable, for the same reason."""
+    return dict.fromkeys(names, ParameterEstimate.unknown(reason))
+
+
+class FittedLaw(NamedTuple):
+    """The fitted law of one element.
 
     Attributes:
-        element: its name.
-        parameters: estimates by all or some of the names in PARAMETERS, in that order.
-        sources: the bags that the estimates come from.
+        law: of the element.
+        x: its fitted parameters, shape (k,).
+        covariance: of these, shape (k, k).
+        determined: which of them the data determine, shape (k,).
     """
 
-    element: str
-    parameters: Mapping[str, ParameterEstimate]
-    sources: tuple[BagSource, ...]
+    law: Law
+    x: Array
+    covariance: Array
+    determined: Mask
 
-    @classmethod
-    def unknown(
-        cls, element: str, names: tuple[str, ...], reason: str, sources: tuple[BagSource, ...] = ()
-    ) -> ElementEstimate:
-        """Return the estimates of an element of which no parameter is identifiable, for the same reason."""
-        return cls(element, dict.fromkeys(names, ParameterEstimate.unknown(reason)), sources)
+    def curve(self, velocity: Array) -> tuple[Array, Array]:
+        """Return the torque of steady sliding at velocities, rad/s, and its deviation, Nm, shape (m,) each."""
+        torque, slopes = self.law.curve(velocity, self.x)
+        variance = np.einsum("ki,ij,kj->k", slopes, self.covariance, slopes)
+        return torque, np.sqrt(np.maximum(variance, 0.0))
+
+    def estimates(self, doubt: Callable[[str, float, float, bool], str]) -> Estimates:
+        """Return the estimates of the parameters that the law has.
+
+        Args:
+            doubt: returns why a parameter is not identifiable, "" if it is, by its name, its value, its standard
+                deviation, and whether the data determine it.
+        """
+        values, slopes = self.law.natural(self.x)
+        variance = np.diag(slopes @ self.covariance @ slopes.T)
+        deviations = np.sqrt(np.maximum(variance, 0.0)).tolist()
+        known = (slopes[:, ~self.determined] == 0.0).all(axis=1).tolist()
+        estimates = {}
+        for name, deviation, determined in zip(values, deviations, known, strict=True):
+            reason = doubt(name, values[name], deviation, determined)
+            estimate = ParameterEstimate(values[name], deviation)
+            estimates[name] = ParameterEstimate.unknown(reason) if reason else estimate
+        return estimates
+
+
+def least_coulomb(
+    elements: Mapping[str, Estimates], fallback: Sequence[FrictionElement] | None
+) -> float:
+    """Return the least identified Coulomb torque, Nm, which is assumed for elements without any; 0 if none is."""
+    coulomb = {name: estimates["tau_c_positive"] for name, estimates in elements.items()}
+    known = [estimate.value for estimate in coulomb.values() if estimate.identifiable]
+    if not known and fallback is None:
+        reasons = "; ".join(f"{name}: {estimate.reason}" for name, estimate in coulomb.items())
+        raise IdentificationError(
+            f"no friction of any element is identified ({reasons}); accepted: recordings that tell some, or --fallback "
+            "with a friction file"
+        )
+    return min(known, default=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,18 +201,18 @@ class IdentifiedElement:
     Attributes:
         element: values to simulate with.
         estimates: by the names in PARAMETERS, without the viscous exponent where it is 1.
-        sources: the bags that each parameter was estimated from.
     """
 
     element: FrictionElement
-    estimates: Mapping[str, ParameterEstimate]
-    sources: Mapping[str, tuple[BagSource, ...]]
+    estimates: Estimates
 
 
-def model_parts(model: Sequence[str], accepted: Sequence[str] = MODEL_PARTS) -> tuple[Part, ...]:
+def model_parts(model: Sequence[str]) -> tuple[Part, ...]:
     """Return the parts of a model beside Coulomb and viscous friction, which every model has."""
-    unknown = [name for name in model if name not in (COULOMB_VISCOUS, *accepted)]
+    unknown = [name for name in model if name not in (COULOMB_VISCOUS, *MODEL_PARTS)]
     if unknown or not model:
         wrong = quoted(unknown[0]) if unknown else "no part"
-        raise ConfigError(f"--model: {wrong}; accepted: {', '.join((COULOMB_VISCOUS, *accepted))}")
+        raise ConfigError(
+            f"--model: {wrong}; accepted: {', '.join((COULOMB_VISCOUS, *MODEL_PARTS))}"
+        )
     return tuple(part for part in Part if part.value in model)

@@ -6,14 +6,13 @@ the same: it predicts the torque, even where its parameters could be exchanged f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from rx90_common.base.arrays import Array, Mask
-from rx90_common.base.errors import IdentificationError
-from rx90_common.estimation.choose import Choice, Trial, choose, without_bound_parts
+from rx90_common.estimation.choose import Choice, choose, without_bound_parts
 from rx90_common.estimation.deviations import law_deviations
 from rx90_common.estimation.elements import fit_laws, places
 from rx90_common.estimation.fit import Fit
@@ -22,8 +21,12 @@ from rx90_common.friction import FrictionElement
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import (
     PARAMETERS,
+    Estimates,
+    FittedLaw,
     IdentifiedElement,
     ParameterEstimate,
+    least_coulomb,
+    unknown_estimates,
     with_passive_fading,
 )
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
@@ -64,7 +67,7 @@ class FittedArm:
         fit: of friction, q parameters, and of b base parameters.
         covariance: of these q + b, shape (q + b, q + b); 0 for what is not determined.
         determined: which of them the rows determine, shape (q + b,).
-        trials: of the choice of the laws.
+        tried: parts of the friction that the runs were asked for.
         base_names: of the base parameters.
         speeds: least and greatest speed with data of each element, rad/s; 0 for one that rests.
     """
@@ -74,7 +77,7 @@ class FittedArm:
     fit: Fit
     covariance: Array
     determined: Mask
-    trials: tuple[Trial, ...]
+    tried: tuple[Part, ...]
     base_names: tuple[str, ...]
     speeds: tuple[tuple[float, float], ...]
 
@@ -100,35 +103,19 @@ class FittedArm:
     def predicted(self, problem: ExcitationProblem) -> Array:
         """Return the torque of the rows of runs of the same arm, Nm, shape (r,)."""
         friction = problem.friction_rows().problem(self.laws).model(self.fit.x)[0]
-        return np.asarray(friction + problem.regressor @ self.fit.linear)
+        return friction + problem.regressor @ self.fit.linear
 
-    def curve(self, number: int, velocity: Array) -> tuple[Array, Array]:
-        """Return an element's torque of steady sliding at velocities, rad/s, and its deviation, Nm, shape (m,) each."""
+    def element(self, number: int) -> FittedLaw:
+        """Return the fitted law of an element."""
         place = places(self.laws)[number]
-        torque, slopes = self.laws[number].curve(velocity, self.fit.x[place])
-        variance = np.einsum("mi,ij,mj->m", slopes, self.covariance[place, place], slopes)
-        return torque, np.sqrt(np.maximum(variance, 0.0))
+        covariance = self.covariance[place, place]
+        return FittedLaw(self.laws[number], self.fit.x[place], covariance, self.determined[place])
 
-    def estimates(self, number: int) -> dict[str, ParameterEstimate]:
+    def estimates(self, number: int) -> Estimates:
         """Return the estimates of an element by the names of FrictionElement; shared by both directions."""
-        place = places(self.laws)[number]
-        law = self.laws[number]
         if self.speeds[number][1] == 0.0:
-            return dict.fromkeys(PARAMETERS, ParameterEstimate.unknown("at rest in all runs"))
-        values, slopes = law.natural(self.fit.x[place])
-        variance = np.diag(slopes @ self.covariance[place, place] @ slopes.T)
-        deviation = np.sqrt(np.maximum(variance, 0.0))
-        known = ~(slopes[:, ~self.determined[place]] != 0.0).any(axis=1)
-        estimates = {}
-        for name, value, size, determined in zip(
-            values, values.values(), deviation, known, strict=True
-        ):
-            reason = _reason(name, value, float(size), determined=bool(determined))
-            estimates[name] = (
-                ParameterEstimate.unknown(reason)
-                if reason
-                else ParameterEstimate(value, float(size))
-            )
+            return unknown_estimates(PARAMETERS, "at rest in all runs")
+        estimates = self.element(number).estimates(_doubt)
         for name in PARAMETERS:
             if name not in estimates:
                 estimates[name] = ParameterEstimate.unknown(self._missing(number, PART_OF[name]))
@@ -136,16 +123,15 @@ class FittedArm:
 
     def _missing(self, number: int, part: Part) -> str:
         """Return why an element does not have a part."""
-        trial = next(
-            (trial for trial in self.trials if trial.element == number and trial.part is part), None
+        lone = part is Part.BRISTLE and Part.STRIBECK not in self.laws[number].parts
+        return (
+            f"{part.value} was not tried"
+            if lone or part not in self.tried
+            else f"no {part.value} shows"
         )
-        if trial is None:
-            return f"{part.value} was not tried"
-        low, high = self.speeds[number]
-        return f"no {part.value} shows at speeds from {low:.3g} to {high:.3g} rad/s: {trial.gain.reason}"
 
 
-def _reason(name: str, value: float, deviation: float, *, determined: bool) -> str:
+def _doubt(name: str, value: float, deviation: float, determined: bool) -> str:
     """Return why a parameter is not identified; "" if it is."""
     if name.startswith("tau_c") and value <= 0.0:
         return "no Coulomb friction shows"
@@ -165,7 +151,6 @@ def _reason(name: str, value: float, deviation: float, *, determined: bool) -> s
 def fit_arm(
     problem: ExcitationProblem,
     parts: Sequence[Part] = TRIED,
-    progress: Callable[[str], None] = lambda _: None,
     *,
     fixed: bool = False,
 ) -> FittedArm:
@@ -174,17 +159,16 @@ def fit_arm(
     Args:
         problem: the rows.
         parts: to try beside Coulomb and viscous friction.
-        progress: called with the name of each part before its trial.
         fixed: whether all elements have the parts, without a choice.
     """
     rows = problem.friction_rows()
     if fixed:
         tried = parts
         laws = [Law(frozenset(parts))] * len(rows.elements)
-        chosen = without_bound_parts(rows, Choice(tuple(laws), fit_laws(rows, laws), ()))
+        chosen = without_bound_parts(rows, Choice(tuple(laws), fit_laws(rows, laws)))
     else:
         tried = parts if len(problem) >= ROWS_PER_PARAMETER * problem.parameters else ()
-        chosen = choose(rows, tried, [Law()] * len(rows.elements), progress)
+        chosen = choose(rows, tried, [Law()] * len(rows.elements))
     known = law_deviations(rows, chosen.laws, chosen.fit, tried)
     return FittedArm(
         arm=problem.arm,
@@ -192,7 +176,7 @@ def fit_arm(
         fit=chosen.fit,
         covariance=known.covariance,
         determined=known.determined,
-        trials=chosen.trials,
+        tried=tuple(tried),
         base_names=problem.names,
         speeds=tuple((element.speeds.low, element.speeds.high) for element in rows.elements),
     )
@@ -204,7 +188,7 @@ def simplest_fit(problem: ExcitationProblem) -> FittedArm:
 
 
 def identified_elements(
-    problem: ExcitationProblem, fitted: FittedArm, fallback: Sequence[FrictionElement] | None
+    fitted: FittedArm, fallback: Sequence[FrictionElement] | None
 ) -> tuple[IdentifiedElement, ...]:
     """Return the elements with values for all parameters.
 
@@ -213,28 +197,15 @@ def identified_elements(
     least Coulomb torque of the other elements.
 
     Args:
-        problem: the rows.
-        fitted: of these.
+        fitted: the fit.
         fallback: elements in the same order; None if there are none.
     """
-    sources = tuple(run.source for run in problem.runs)
     estimates = [fitted.estimates(number) for number in range(len(fitted.laws))]
-    known = [own["tau_c_positive"].value for own in estimates if own["tau_c_positive"].identifiable]
-    if not known and fallback is None:
-        reasons = [own["tau_c_positive"].reason for own in estimates]
-        texts = "; ".join(
-            f"{name}: {reason}"
-            for name, reason in zip(fitted.arm.element_names, reasons, strict=True)
-        )
-        raise IdentificationError(
-            f"no friction of any element is identified ({texts}); accepted: runs that tell some, or --fallback with a "
-            "friction file"
-        )
+    least = least_coulomb(dict(zip(fitted.arm.element_names, estimates, strict=True)), fallback)
     elements = []
     for number, own in enumerate(estimates):
         other = None if fallback is None else fallback[number]
-        element = _element(fitted, number, other, min(known, default=0.0))
-        elements.append(IdentifiedElement(element, own, dict.fromkeys(own, sources)))
+        elements.append(IdentifiedElement(_element(fitted, number, other, least), own))
     return tuple(elements)
 
 

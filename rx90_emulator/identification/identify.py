@@ -20,24 +20,22 @@ from rx90_common.friction.friction_file import FrictionFile, refuse_parts
 from rx90_common.friction.signs import SIGNS
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import (
-    NOT_IN_MODEL,
     PRESLIDING,
-    ElementEstimate,
+    Estimates,
     IdentifiedElement,
     ParameterEstimate,
-    model_parts,
+    least_coulomb,
+    unknown_estimates,
     with_passive_fading,
 )
 from rx90_emulator.identification.experiments.plan import (
     IdentificationBags,
-    read_emulated,
     read_index,
 )
 from rx90_emulator.identification.fitted import PRESLIDING_DISTANCE, RELAXATION
 from rx90_emulator.identification.options import (
     NO_TOLERANCES,
     SHIPPED_ROBOT,
-    SLIDING_PARTS,
     GivenTolerances,
     RobotOptions,
 )
@@ -65,8 +63,6 @@ def identify_friction(
     robot: RobotOptions = SHIPPED_ROBOT,
     tolerances: GivenTolerances = NO_TOLERANCES,
     progress: Callable[[str], None] = lambda _: None,
-    *,
-    model: Sequence[str] | None = None,
 ) -> FrictionIdentification:
     """Identify the friction of a robot from recorded bags (section 4 of Aarts, Jonker and Waiboer).
 
@@ -76,9 +72,6 @@ def identify_friction(
         tolerances: what counts as agreement with the validation bags; by default, value by value, as in
             `check_friction`.
         progress: called with the name of each step before it: each bag, the two fits, each validation.
-        model: parts that all elements have in sliding, without selection: "coulomb-viscous", which every model
-            contains, and the names in `options.SLIDING_PARTS`; by default the parts that the sweeps support are
-            selected.
 
     Returns:
         Estimates with standard deviations, both fits, and a validation for each validation bag.
@@ -94,29 +87,26 @@ def identify_friction(
         raise IdentificationError(
             "no bag with sweeps at constant velocity; accepted: such bags, or a folder that rx90 experiment wrote"
         )
-    if model is not None:
-        model_parts(model, SLIDING_PARTS)  # refused before any bag is read
     check_given_once(by_use)
     source = RecordedRobot.load(robot, [path for paths in by_use.values() for path in paths])
-    truth = read_emulated([*chosen.sliding, *chosen.presliding])
     records = read_records(by_use, source, progress)
-    result = identify_records(
-        records["sliding"], records["presliding"], source, progress, model=model
-    )
+    result = identify_records(records["sliding"], records["presliding"], source, progress)
     checks = []
+    assumed = result.assumed_bristles
+    elements = result.friction.elements
     for record in records["validation"]:
         progress(record.source.name)
         check = validate(
-            source, result.friction.elements, record, tolerances, sliding=result.sliding
+            source, elements, record, tolerances, assumed_bristles=assumed, sliding=result.sliding
         )
-        checks.append(replace(check, assumed_bristles=result.assumed_bristles))
+        checks.append(check)
     used = tuple((use, record.bag) for use, some in records.items() for record in some)
     alarms = (*log_alarms(records), *result.alarms)
-    return replace(result, bags=used, validations=tuple(checks), alarms=alarms, truth=truth)
+    return replace(result, bags=used, validations=tuple(checks), alarms=alarms)
 
 
 def check_friction(
-    friction: FrictionFile | Path | str,
+    friction: Path | str,
     bags: Sequence[Path | str],
     robot: RobotOptions = SHIPPED_ROBOT,
     tolerances: GivenTolerances = NO_TOLERANCES,
@@ -128,12 +118,11 @@ def check_friction(
     added; rotors and springs in it replace those of `robot`.
 
     Args:
-        friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's.
+        friction: the file's path, or the name of a shipped one; its elements are the arm's.
         bags: one or more runs, none of them twice.
         robot: that the bags come from; by default this project's.
-        tolerances: what counts as agreement, all or some by name. By default 10 % of the torque of all joints together
-            and 30 % of each joint's; for a bag with set-points of this project's controller, along which the closed
-            loop is run as well, ValidationTolerances().
+        tolerances: what counts as agreement, by name. By default 10 % of the torque of all joints together and 30 % of
+            each joint's, for a bag with set-points of this project's controller 5 %.
         progress: called twice for each bag, before it is read and before it is compared.
 
     Returns:
@@ -149,23 +138,20 @@ def check_friction(
         raise IdentificationError("no bag to hold the friction against; accepted: bags of the arm")
     check_given_once(by_use)
     source = RecordedRobot.load(robot, by_use["validation"], follow=True)
-    file, lugre, arm = with_friction(source.arm, friction, "a validation by recorded torques")
+    where = str(resolve_config(str(friction)))
+    file = FrictionFile.read(Path(where))
+    elements, arm = _with_friction(source.arm, file, where)
     source = replace(source, arm=arm)
-    where = (
-        "--friction" if isinstance(friction, FrictionFile) else str(resolve_config(str(friction)))
-    )
-    currents = (file.identification or {}).get("unit") == "A"
-    records = read_records(by_use, source, progress, currents=currents)["validation"]
-    if currents and any(record.unit == "Nm" for record in records):
-        raise IdentificationError(
-            f"{where}: its torques are in A; accepted: bags with efforts in A"
-        )
+    records = read_records(by_use, source, progress)["validation"]
     bandwidths = _bandwidths(file, where)
+    assumed = _bristles_assumed(file)
     checks = []
     for record in records:
         progress(record.source.name)
-        check = validate(source, lugre, record, tolerances, bandwidths=bandwidths)
-        checks.append(replace(check, assumed_bristles=_bristles_assumed(file)))
+        check = validate(
+            source, elements, record, tolerances, assumed_bristles=assumed, bandwidths=bandwidths
+        )
+        checks.append(check)
     return tuple(checks)
 
 
@@ -181,31 +167,22 @@ def _bristles_assumed(file: FrictionFile) -> bool:
     )
 
 
-def with_friction(
-    arm: RigidArm, friction: FrictionFile | Path | str, use: str
-) -> tuple[FrictionFile, tuple[FrictionElement, ...], RigidArm]:
-    """Return a friction file, its elements in the arm's order, and the arm with what the file states of its joints.
-
-    Args:
-        arm: without friction.
-        friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's.
-        use: purpose, in words, for a refusal: it supports no parts of the friction but bristles.
-    """
-    file = (
-        friction
-        if isinstance(friction, FrictionFile)
-        else FrictionFile.read(resolve_config(str(friction)))
-    )
+def _with_friction(
+    arm: RigidArm, file: FrictionFile, where: str
+) -> tuple[tuple[FrictionElement, ...], RigidArm]:
+    """Return a friction file's elements in the arm's order, and the arm with what the file states of its joints."""
     names = arm.element_names
-    where = "friction" if isinstance(friction, FrictionFile) else str(resolve_config(str(friction)))
     elements = file.select(names, where)
     for name in file.elements.entries:
         if name not in names:
             reason = f"element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
             raise IdentificationError(f"{where}: {reason}")
-    refuse_parts(file.elements.entries, use, f"{where}: elements.", held=("bristles",))
+    parts = file.elements.entries
+    refuse_parts(
+        parts, "a validation by recorded torques", f"{where}: elements.", held=("bristles",)
+    )
     try:
-        return file, elements, arm.with_joints(file.joints.entries)
+        return elements, arm.with_joints(file.joints.entries)
     except IdentificationError as error:
         raise IdentificationError(f"{where}: {error}") from error
 
@@ -225,7 +202,7 @@ def _bandwidths(file: FrictionFile, where: str) -> Bandwidths | None:
         raise IdentificationError(
             f"{where}: identification.bandwidths is {plain(str(found))}; accepted: position and torque above 0 Hz"
         )
-    return Bandwidths(numbers[0], numbers[1], "those of the identified runs")
+    return Bandwidths(*numbers)
 
 
 def check_given_once(bags: Mapping[str, Sequence[Path]]) -> None:
@@ -242,8 +219,6 @@ def read_records(
     bags: Mapping[str, Sequence[Path]],
     robot: RecordedRobot,
     progress: Callable[[str], None],
-    *,
-    currents: bool = False,
 ) -> dict[str, list[JointRecord]]:
     """Return the records of bags by use; all are read before anything is fitted, so that a bad one is refused early.
 
@@ -251,7 +226,6 @@ def read_records(
         bags: by use, such as sliding or validation; no bag twice for the same use.
         robot: that the bags come from.
         progress: called with the name of each bag before it is read.
-        currents: whether efforts in A without torque constants are taken as they are, in all bags or in none.
     """
     layouts = [
         (use, path, robot.layout(path, fast=use != "sliding"))
@@ -261,16 +235,9 @@ def read_records(
     records: dict[str, list[JointRecord]] = {use: [] for use in bags}
     for use, path, layout in layouts:
         progress(path.name)
-        record = read_record(path, layout, _RATES[use], currents=currents).of_joints(
-            robot.arm.names
-        )
+        record = read_record(path, layout, _RATES[use]).of_joints(robot.arm.names)
         _check_motion(record, robot.arm, still=use not in ("excitation", "validation"))
         records[use].append(record)
-    units = {record.unit: record.source for some in records.values() for record in some}
-    if len(units) > 1:
-        raise IdentificationError(
-            f"{units['A']}: its efforts are in A, those of {units['Nm']} in Nm; accepted: one unit"
-        )
     used = [record for use, some in records.items() if use != "validation" for record in some]
     for record in records["validation"]:
         _check_unseen(record, used)
@@ -321,8 +288,6 @@ def identify_records(
     presliding: Sequence[JointRecord],
     robot: RecordedRobot,
     progress: Callable[[str], None] = lambda _: None,
-    *,
-    model: Sequence[str] | None = None,
 ) -> FrictionIdentification:
     """Identify the friction of all elements of an arm from records.
 
@@ -331,7 +296,6 @@ def identify_records(
         presliding: micro-oscillations; without any, c0 and c1 are not identifiable.
         robot: rigid-body model and fallback values.
         progress: called with the name of each step before it.
-        model: as in `identify_friction`.
 
     Returns:
         The result, without bags and validations.
@@ -339,8 +303,9 @@ def identify_records(
     arm = robot.arm
     fallback = robot.fallback or (None,) * len(arm.element_names)
     progress("sliding regime")
-    slides = identify_sliding(sliding, arm, zero=robot.zero, model=model)
-    least = _least_coulomb(slides.estimates, robot.fallback)
+    slides = identify_sliding(sliding, arm, zero=robot.zero)
+    named = dict(zip(arm.element_names, slides.estimates, strict=True))
+    least = least_coulomb(named, robot.fallback)
     progress("presliding regime")
     if presliding:
         # The sliding regime of an element does not depend on its c0 and c1.
@@ -350,19 +315,13 @@ def identify_records(
         cycles = identify_presliding(presliding, arm, known)
     else:
         reason = "no bag with micro-oscillations was given"
-        cycles = PreslidingFit(
-            tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names)
-        )
+        cycles = PreslidingFit((unknown_estimates(PRESLIDING, reason),) * len(arm.element_names))
     elements = []
     for first, second, other in zip(slides.estimates, cycles.estimates, fallback, strict=True):
-        element = _element(first, second.parameters, other, least)
+        element = _element(first, second, other, least)
         if other is None:
             element = with_passive_fading(element, None)
-        sources = dict.fromkeys(second.parameters, second.sources) | dict.fromkeys(
-            first.parameters, first.sources
-        )
-        estimates = {**first.parameters, **second.parameters}
-        elements.append(IdentifiedElement(element, estimates, sources))
+        elements.append(IdentifiedElement(element, {**first, **second}))
     return FrictionIdentification(
         robot=robot,
         elements=tuple(elements),
@@ -376,26 +335,9 @@ def identify_records(
 _NEUTRAL = {"omega_s": 0.1, "delta": 1.0, "c2": 0.0, "alpha": 1.0}
 
 
-def _least_coulomb(
-    sliding: Sequence[ElementEstimate], fallback: Sequence[FrictionElement] | None
-) -> float:
-    """Return the least identified Coulomb torque, Nm, which is assumed for elements without any."""
-    coulomb = [estimate.parameters["tau_c_positive"] for estimate in sliding]
-    known = [estimate.value for estimate in coulomb if estimate.identifiable]
-    if not known and fallback is None:
-        reasons = "; ".join(
-            f"{one.element}: {why.reason}" for one, why in zip(sliding, coulomb, strict=True)
-        )
-        raise IdentificationError(
-            f"no friction of any element is identified ({reasons}); accepted: sweeps that tell some, or --fallback "
-            "with a friction file"
-        )
-    return min(known, default=0.0)
-
-
 def _element(
-    sliding: ElementEstimate,
-    presliding: Mapping[str, ParameterEstimate],
+    sliding: Estimates,
+    presliding: Estimates,
     fallback: FrictionElement | None,
     least: float,
 ) -> FrictionElement:
@@ -404,15 +346,11 @@ def _element(
     Without a fallback tau_s is tau_c, bristles break away after PRESLIDING_DISTANCE, and an unknown Coulomb torque is
     the `least` of the other elements, as after excitation runs.
     """
-    estimates = {**sliding.parameters, **presliding}
+    estimates = {**sliding, **presliding}
     values = dict(_NEUTRAL)
     if fallback is not None:
-        absent = {name for name, estimate in estimates.items() if estimate.reason == NOT_IN_MODEL}
-        values |= {
-            name: value
-            for name, value in fallback.parameters.items()
-            if name not in {*absent, "alpha"}
-        }
+        values |= fallback.parameters
+        values["alpha"] = 1.0
     values |= {
         name: estimate.value for name, estimate in estimates.items() if estimate.identifiable
     }

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from datetime import datetime, timezone
 from pathlib import Path
 
 from tqdm import tqdm
@@ -15,7 +14,7 @@ from rx90_common.description.robot_files import FILES
 from rx90_common.process.files import made_folder, write_all, write_text
 from rx90_emulator.identification.identify import check_friction
 from rx90_emulator.identification.options import GivenTolerances, RobotOptions
-from rx90_emulator.identification.output.friction_file import friction_text
+from rx90_emulator.identification.output.friction_file import sweeps_text
 from rx90_emulator.identification.output.report import check_page, identification_page
 from rx90_emulator.identification.output.robot_files import (
     folder_base,
@@ -100,17 +99,16 @@ def write_identification(
         OutputError: for files that cannot be written.
     """
     output = Path(output)
-    date = datetime.now(timezone.utc)
     if isinstance(result, FrictionIdentification):
-        page = identification_page(result, date, (output.name,))
-        texts = {output: friction_text(result), output.with_suffix(".html"): page}
+        page = identification_page(result, (output.name,))
+        texts = {output: sweeps_text(result), output.with_suffix(".html"): page}
         identification_targets(output, folder=False, force=force)
         write_all({file: text.encode() for file, text in texts.items()})
         return tuple(texts)
-    robot, note = robot_files(result, date)
-    page = identification_page(result, date, (*robot, note))
+    robot, note = robot_files(result)
+    page = identification_page(result, (*robot, note))
     texts = {output / name: text for name, text in robot.items()}
-    texts |= {output / REPORT: page, output / PARAMETERS: parameters_text(result, date)}
+    texts |= {output / REPORT: page, output / PARAMETERS: parameters_text(result)}
     identification_targets(output, folder=True, force=force)
     with made_folder(output):
         write_all({file: text.encode() for file, text in texts.items()})

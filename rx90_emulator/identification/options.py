@@ -5,7 +5,6 @@ They are declared once, for checks and for --help, so this module imports nothin
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +14,7 @@ from typing import TypeAlias
 from rx90_common.base.errors import ConfigError
 
 COULOMB_VISCOUS = "coulomb-viscous"
-SLIDING_PARTS = ("viscous-exponent", "stribeck-rise")
-MODEL_PARTS = (*SLIDING_PARTS, "bristle")
+MODEL_PARTS = ("viscous-exponent", "stribeck-rise", "bristle")
 """Parts that a friction model may have beside Coulomb and viscous friction, by their names in tables."""
 
 
@@ -97,25 +95,21 @@ class ValidationTolerances(Tolerances):
 
     Attributes:
         torque: RMS difference of a joint's torque over its RMS recorded torque.
-        worst_torque: largest difference over the largest recorded torque; infinite if it is not limited.
-        tip: largest distance between the tip positions, m.
         total: RMS difference of the torques of all joints over their RMS recorded torque.
     """
 
     torque: float = 0.05
-    worst_torque: float = 0.15
-    tip: float = 1e-4
     total: float = 0.1
 
 
 EMULATED = ValidationTolerances()
-"""Limits for bags with set-points of this project's controller, along which the closed loop is run, too."""
+"""Limits for bags with set-points of this project's controller."""
 
 
-RECORDED = ValidationTolerances(torque=0.3, worst_torque=math.inf)
+RECORDED = ValidationTolerances(torque=0.3)
 """Limits for all other bags; light joints differ more, because friction is most of their torque."""
 
 
-GivenTolerances: TypeAlias = ValidationTolerances | Mapping[str, float]
-"""All limits, or some by the names of the attributes; the others are then those of EMULATED or RECORDED."""
-NO_TOLERANCES: Mapping[str, float] = MappingProxyType({})
+GivenTolerances: TypeAlias = Mapping[str, float]
+"""Limits by the names of the attributes; the others are those of EMULATED or RECORDED."""
+NO_TOLERANCES: GivenTolerances = MappingProxyType({})

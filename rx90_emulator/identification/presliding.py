@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +18,9 @@ from rx90_emulator.identification.arm import JointGroup, RigidArm, joint_groups
 from rx90_emulator.identification.estimates import (
     LARGEST_DEVIATION,
     PRESLIDING,
-    ElementEstimate,
+    Estimates,
     ParameterEstimate,
+    unknown_estimates,
 )
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.rows.micro_oscillations import (
@@ -42,20 +44,15 @@ _MAX_INERTIA_SD = 2.0  # prior deviations of an error of the mass matrix
 _REACTIONS = "its joints were moved by the reactions of others alone; accepted: micro-oscillations of their own"
 
 
-@dataclass(frozen=True, eq=False)
-class PreslidingFit:
+class PreslidingFit(NamedTuple):
     """The presliding regime of all elements.
 
     Attributes:
         estimates: for each element of the arm, in its order; the parameters are those in PRESLIDING.
-        loops: largest micro-motion of each joint that has any, by its name: position, rad from the mean, and friction
-            torque, Nm, "measured" (drive less the rigid arm's) and "simulated" (bristles deflected along this motion);
-            block means, shape (b,).
         motions: number of micro-motions that were used.
     """
 
-    estimates: tuple[ElementEstimate, ...]
-    loops: Mapping[str, tuple[Array, dict[str, Array]]] = field(default_factory=dict)
+    estimates: tuple[Estimates, ...]
     motions: int = 0
 
 
@@ -78,8 +75,7 @@ def identify_presliding(
             "some 0.1 mrad at some 3 to 30 Hz, such as rx90 experiment makes"
         )
     reason = f"no micro-oscillation of its joints in the bags, or {_REACTIONS}"
-    estimates = [ElementEstimate.unknown(name, PRESLIDING, reason) for name in arm.element_names]
-    loops: dict[str, tuple[Array, dict[str, Array]]] = {}
+    estimates = [unknown_estimates(PRESLIDING, reason)] * len(arm.element_names)
     used = 0
     for number, group in enumerate(groups):
         elements = [sliding[e] for e in group.elements]
@@ -103,8 +99,7 @@ def identify_presliding(
         used += len(result.rows.motions)
         for e, estimate in zip(group.elements, result.estimates(arm, group), strict=True):
             estimates[e] = estimate
-        loops |= {arm.names[joint]: result.loop(place) for place, joint in enumerate(group.joints)}
-    return PreslidingFit(tuple(estimates), loops, used)
+    return PreslidingFit(tuple(estimates), used)
 
 
 def _most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list[MicroMotion]:
@@ -148,32 +143,20 @@ class _GroupFit:
     def loads(self) -> Array:
         """Return the amplitude of each bristle's torque over its Coulomb torque, shape (M, e)."""
         coulomb = [element.tau_c.positive for element in self.rows.elements]
-        along = [self.rows.along(self.fit.x, number)[1] for number in range(len(self.rows.motions))]
+        motions = range(len(self.rows.motions))
+        along = [self.rows.deflection_torque(self.fit.x, number) for number in motions]
         spans = [
             np.percentile(torque, 99.0, axis=0) - np.percentile(torque, 1.0, axis=0)
             for torque in along
         ]
         return 0.5 * np.array(spans) / coulomb
 
-    def loop(self, place: int) -> tuple[Array, dict[str, Array]]:
-        """Return the loop of the largest motion of a joint of the group, as in `PreslidingFit.loops`."""
-        sizes = [motion.position[:, place].std() for motion in self.rows.motions]
-        largest = int(np.argmax(sizes))
-        motion = self.rows.motions[largest]
-        simulated = self.rows.along(self.fit.x, largest)[0][:, place]
-        position = motion.position[:, place]
-        return position - position.mean(), {
-            "measured": motion.friction[:, place],
-            "simulated": simulated,
-        }
-
-    def estimates(self, arm: RigidArm, group: JointGroup) -> list[ElementEstimate]:
+    def estimates(self, arm: RigidArm, group: JointGroup) -> list[Estimates]:
         """Return the elements' estimates."""
         spread = deviations(self.fit)
         doubts = self._doubts(arm, group)
-        sources = tuple(dict.fromkeys(motion.record.bag for motion in self.rows.motions))
         estimates = []
-        for place, e in enumerate(group.elements):
+        for place in range(len(group.elements)):
             parameters = {}
             for number, name in enumerate(PRESLIDING, 2 * place):
                 relative = math.hypot(
@@ -185,7 +168,7 @@ class _GroupFit:
                     reason = f"relative standard deviation {relative:.2g} at a value of {value:.3g}"
                 estimate = ParameterEstimate(value, value * relative)
                 parameters[name] = ParameterEstimate.unknown(reason) if reason else estimate
-            estimates.append(ElementEstimate(arm.element_names[e], parameters, sources))
+            estimates.append(parameters)
         return estimates
 
     def _doubts(self, arm: RigidArm, group: JointGroup) -> list[str]:

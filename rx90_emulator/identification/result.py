@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from datetime import datetime, timezone
 from functools import cached_property
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
-from rx90_common.friction import FrictionElement, FrictionSet
+from rx90_common.friction import FrictionSet
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.bodies import Consistency
 from rx90_emulator.identification.estimates import (
@@ -35,8 +35,6 @@ NOT_DETERMINED = "these runs do not determine it"
 UNEXPLAINED = 0.7
 """Share of a torque's variation: beyond, less than half of its square is explained."""
 _LINE_POINTS = 100
-_SPEED_BINS = 10  # of each sign
-_MIN_BIN_SAMPLES = 8
 
 
 @dataclass(frozen=True)
@@ -58,23 +56,18 @@ class BaseParameter:
     consistent: float
 
 
-def unexplained(runs: Sequence[RunTorques]) -> dict[str, str]:
-    """Return, in words by joint, whose torques a model hardly explains, so that their values cannot be trusted.
+def unexplained(runs: Sequence[RunTorques]) -> list[str]:
+    """Return in words whose torques a model hardly explains, so that their values cannot be trusted.
 
     An offset explains a constant torque without any information; only the variation counts.
     """
-    texts = {}
-    for number, name in enumerate(runs[0].names):
-        series = [run.joints[number] for run in runs if len(run.joints[number].recorded)]
-        residual = np.sqrt(
-            sum(len(joint.residual) * float(np.var(joint.residual)) for joint in series)
-        )
-        varying = np.sqrt(
-            sum(len(joint.recorded) * float(np.var(joint.recorded)) for joint in series)
-        )
-        if series and residual > UNEXPLAINED * varying:
+    texts = []
+    residuals = np.sqrt(sum(run.variation(run.difference) for run in runs))
+    recorded = np.sqrt(sum(run.variation(run.recorded) for run in runs))
+    for name, residual, varying in zip(runs[0].names, residuals, recorded, strict=True):
+        if residual > UNEXPLAINED * varying:
             share = min(residual / varying, 1.0) if varying else 1.0
-            texts[name] = (
+            texts.append(
                 f"{share:.0%} of what varies in the torque of {name} is not explained: its friction and its offset, "
                 "and the inertias that it alone determines, are not to be trusted"
             )
@@ -98,6 +91,7 @@ class Identification:
         bags: what was read, by use.
         validations: comparisons with bags that the identification did not use.
         alarms: what looks wrong in the log or the result, a sentence each: a verdict is "confirmed, but ..." at most.
+        date: of the identification.
     """
 
     robot: RecordedRobot
@@ -105,16 +99,12 @@ class Identification:
     bags: tuple[tuple[str, BagSource], ...] = ()
     validations: tuple[Validation, ...] = ()
     alarms: tuple[str, ...] = ()
+    date: datetime = field(default_factory=lambda: datetime.now(timezone.utc))
 
     @property
     def arm(self) -> RigidArm:
         """Return the arm, by its description."""
         return self.robot.arm
-
-    @property
-    def unit(self) -> str:
-        """Return the unit of the torques: Nm, or A without torque constants; all values are in its scale."""
-        return next((bag.unit for _, bag in self.bags), "Nm")
 
     @property
     def curves(self) -> dict[str, FrictionCurve]:
@@ -159,12 +149,10 @@ class FrictionIdentification(Identification):
     Attributes:
         sliding: the fit of the sliding regime.
         presliding: the fit of the presliding regime.
-        truth: the elements that emulated runs were made with, by name; empty where none are known.
     """
 
     sliding: SlidingFit
     presliding: PreslidingFit
-    truth: Mapping[str, FrictionElement] = field(default_factory=dict)
 
     @property
     def curves(self) -> dict[str, FrictionCurve]:
@@ -185,7 +173,7 @@ class ExcitationIdentification(Identification):
         compared: bandwidths in which torques are compared: the motion's, whatever those of the fit are.
         torques: recorded and predicted, of each run that was used.
         bodies: what each joint moves, by the description and by the robot's files.
-        notes: what was bridged in the recordings, and what they cannot determine.
+        notes: what the recordings cannot determine.
     """
 
     problem: ExcitationProblem
@@ -199,53 +187,17 @@ class ExcitationIdentification(Identification):
 
     @property
     def curves(self) -> dict[str, FrictionCurve]:
-        """Return means of the measured torque in bins of velocity, by element.
-
-        The means belong to the joint's own element: its curve plus the mean residual, reversals left out, in bins of
-        each sign with about the same number of samples. An element that several joints share has none.
-        """
+        """Return the identified torque against velocity, without points, by element."""
         curves = {}
+        nothing = np.zeros(0)
         for number, name in enumerate(self.arm.element_names):
             low, high = self.fitted.speeds[number]
             if high > 0.0:
-                velocity, residual = self._binned(number, low, high)
                 speed = np.linspace(low, high, _LINE_POINTS)
-                line = np.concatenate([-speed[::-1], speed])
-                fitted = self.fitted.curve(number, velocity)[0]
-                noise = np.zeros_like(velocity)
-                drawn = np.stack([line, *self.fitted.curve(number, line)])
-                curves[name] = FrictionCurve(velocity, fitted + residual, noise, fitted, drawn)
+                velocity = np.concatenate([-speed[::-1], speed])
+                line = np.stack([velocity, *self.fitted.element(number).curve(velocity)])
+                curves[name] = FrictionCurve(nothing, nothing, nothing, nothing, line)
         return curves
-
-    def _binned(self, number: int, low: float, high: float) -> tuple[Array, Array]:
-        """Return mean velocities, rad/s, and mean residuals, Nm, of the bins of an element."""
-        problem = self.problem
-        joints = np.flatnonzero(self.arm.identified)
-        means = []
-        if number < len(joints):
-            rows = np.flatnonzero((problem.joint == joints[number]) & ~problem.reversal)
-            velocity = problem.velocity[rows, number]
-            for sign in (-1.0, 1.0):
-                side = np.flatnonzero((sign * velocity > low) & (sign * velocity < high))
-                for part in np.array_split(side[np.argsort(velocity[side])], _SPEED_BINS):
-                    if len(part) >= _MIN_BIN_SAMPLES:
-                        means.append(
-                            (velocity[part].mean(), self.fitted.fit.residual[rows[part]].mean())
-                        )
-        table = np.reshape(means, (-1, 2))
-        return table[:, 0], table[:, 1]
-
-    @property
-    def base_covariance(self) -> Array:
-        """Return the covariance of the base parameters in the order of `base`, SI units, shape (b, b).
-
-        Infinite on the diagonal for a parameter that these runs do not determine.
-        """
-        first = len(self.fitted.fit.x)
-        covariance = self.fitted.covariance[first:, first:].copy()
-        unknown = np.flatnonzero(~self.fitted.determined[first:])
-        covariance[unknown, unknown] = np.inf
-        return covariance
 
     @property
     def undetermined(self) -> tuple[str, ...]:
@@ -257,37 +209,7 @@ class ExcitationIdentification(Identification):
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """Return which values cannot be trusted, and why, a sentence each."""
-        return (*self._assumed.values(), *unexplained(self.torques).values(), *self._falling)
-
-    @property
-    def element_notes(self) -> dict[str, str]:
-        """Return the warnings on the friction of single elements, by their names."""
-        arm = self.arm
-        poor = unexplained(self.torques)
-        last = [arm.names[np.flatnonzero(row)[-1]] for row in arm.element_matrix]
-        notes = {
-            name: poor[joint]
-            for name, joint in zip(arm.element_names, last, strict=True)
-            if joint in poor
-        }
-        for name, text in self._assumed.items():
-            notes[name] = f"{text}; {notes[name]}" if name in notes else text
-        return notes
-
-    @cached_property
-    def _assumed(self) -> dict[str, str]:
-        """Return, in words by element, whose Coulomb torque is assumed, why, and its source."""
-        name = self.robot.fallback_name
-        whose = "the least of the others" if name is None else f"that of {name}"
-        texts = {}
-        for element, identified in zip(self.arm.element_names, self.elements, strict=True):
-            estimate = identified.estimates["tau_c_positive"]
-            if not estimate.identifiable:
-                texts[element] = (
-                    f"the friction of {element} is not identified ({estimate.reason}); assumed is a Coulomb torque of "
-                    f"{identified.element.tau_c.positive:.3g} Nm, {whose}"
-                )
-        return texts
+        return (*unexplained(self.torques), *self._falling)
 
     @property
     def _falling(self) -> list[str]:

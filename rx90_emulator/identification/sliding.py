@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.estimation.choose import choose
 from rx90_common.estimation.deviations import Deviations, deviations
@@ -17,16 +18,15 @@ from rx90_common.estimation.fit import Fit
 from rx90_common.estimation.law import Law, Part, Speeds
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import (
-    NOT_IN_MODEL,
     SLIDING,
     VISCOUS_EXPONENT,
-    ElementEstimate,
+    Estimates,
+    FittedLaw,
     FrictionCurve,
     ParameterEstimate,
-    model_parts,
+    unknown_estimates,
 )
-from rx90_emulator.identification.options import SLIDING_PARTS
-from rx90_emulator.identification.records import BagSource, JointRecord
+from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.rows.plateaus import BagUse
 from rx90_emulator.identification.rows.sweeps import Blocks, SweepRows, find_blocks, sweep_rows
 from rx90_emulator.identification.sanity import Recorded, alarms, torque_scales
@@ -44,8 +44,7 @@ _LINE_POINTS = 100
 _DOES_NOT_SLIDE = "does not slide at constant velocity; accepted: sweeps in both directions"
 
 
-@dataclass(frozen=True, eq=False)
-class SlidingFit:
+class SlidingFit(NamedTuple):
     """The sliding regime of all elements.
 
     Attributes:
@@ -55,27 +54,24 @@ class SlidingFit:
         inertial: estimated error of the arm's inertial parameters, to be added to them, shape (10 n,):
             rigid torque = arm.torque(...) + arm.regressor(...) @ inertial.
         inertial_covariance: its covariance, the prior's along directions that sweeps do not observe, (10 n, 10 n).
-        plateaus: number of stretches of constant velocity that were used.
         usage: what was used of each record, and why the rest was not.
         alarms: which unit, sign, zero, column or delay looks wrong, a sentence each.
         scales: by joint, how many times the torque that the described bodies need was recorded, as in `torque_scales`.
     """
 
-    estimates: tuple[ElementEstimate, ...]
+    estimates: tuple[Estimates, ...]
     curves: tuple[FrictionCurve | None, ...]
     inertial: Array
     inertial_covariance: Array
-    plateaus: int
-    usage: tuple[BagUse, ...] = ()
-    alarms: tuple[str, ...] = ()
-    scales: Mapping[str, float] = field(default_factory=dict)
+    usage: tuple[BagUse, ...]
+    alarms: tuple[str, ...]
+    scales: Mapping[str, float]
 
 
 def identify_sliding(
     records: Sequence[JointRecord],
     arm: RigidArm,
     zero: Array | None = None,
-    model: Sequence[str] | None = None,
 ) -> SlidingFit:
     """Fit tau_c+-, tau_s+-, omega_s, delta, c2 and, where the data prefer one, alpha of every element that slides.
 
@@ -86,7 +82,6 @@ def identify_sliding(
         records: sweeps of the arm's joints at constant velocity, both directions, several speeds.
         arm: rigid-body model.
         zero: zeros of the encoders that were subtracted from the records, rad, shape (n,); by default 0.
-        model: names of the parts in SLIDING_PARTS that all elements have; by default they are chosen.
     """
     names = arm.element_names
     where = ", ".join(str(record.source) for record in records)
@@ -102,10 +97,9 @@ def identify_sliding(
     scales = torque_scales(arm, recorded)
     doubts = alarms(arm, recorded, zero=zero, scales=scales)
     rows = sweep_rows(blocks, arm, known)
-    parts = None if model is None else model_parts(model, SLIDING_PARTS)
     shared = [int(e) >= len(arm.names) for e in known]
     many = min(min(_speeds(blocks.velocity[blocks.sliding[:, e], e])) for e in known) > MIN_SPEEDS
-    laws, result = _laws(rows, shared, parts, curved=many)
+    laws, result = _laws(rows, shared, curved=many)
     if not many:  # of few rows, those that lie far out are needed to tell the parameters apart
         result = fit_laws(rows.friction, laws, result.weight, fitted_values(laws, result.x))
     spread = deviations(result)
@@ -122,10 +116,7 @@ def identify_sliding(
             laws = even
             result = other
             spread = deviations(result)
-    sources = tuple(record.bag for record in records)
-    estimates = [
-        ElementEstimate.unknown(name, SLIDING, lacking.get(name, ""), sources) for name in names
-    ]
+    estimates = [unknown_estimates(SLIDING, lacking.get(name, "")) for name in names]
     curves: list[FrictionCurve | None] = [None] * len(names)
     for k, e in enumerate(known.tolist()):
         place = places(laws)[k]
@@ -138,15 +129,11 @@ def identify_sliding(
                 "the drive moves the joint (check the signs of gears and torque constants)"
             )
             raise IdentificationError("; ".join((error, *doubts)))
-        element = _Element(
-            names[e],
-            law,
-            result.x[place],
-            spread.covariance[place, place],
-            spread.determined[place],
+        element = FittedLaw(
+            law, result.x[place], spread.covariance[place, place], spread.determined[place]
         )
-        estimates[e] = element.estimate(rows.friction.elements[k].speeds, parts, sources)
-        curve = element.curve(rows, k, result)
+        estimates[e] = _estimates(element, rows.friction.elements[k].speeds)
+        curve = _curve(element, rows, k, result)
         curves[e] = curve
         if curve.share > _MOST_UNEXPLAINED:
             left = f"the law leaves {curve.share:.0%} of the friction of {names[e]} unexplained"
@@ -154,13 +141,11 @@ def identify_sliding(
     scale = arm.inertial_scale()
     first = len(result.x)
     covariance = spread.covariance[first:, first:] * np.outer(scale, scale)
-    count = len(np.unique(rows.plateau))
     return SlidingFit(
         tuple(estimates),
         tuple(curves),
         scale * result.linear,
         covariance,
-        count,
         usage,
         doubts,
         scales,
@@ -196,14 +181,9 @@ def _speeds(velocity: Array) -> list[int]:
     return counts
 
 
-def _laws(
-    rows: SweepRows, shared: Sequence[bool], parts: Sequence[Part] | None, *, curved: bool
-) -> tuple[list[Law], Fit]:
-    """Return the laws that the rows support by held-out plateaus, with exponents if `curved`, or the given ones."""
+def _laws(rows: SweepRows, shared: Sequence[bool], *, curved: bool) -> tuple[list[Law], Fit]:
+    """Return the laws that the rows support by held-out plateaus, with exponents if `curved`."""
     plain = [Law(signed=True, balanced=balanced) for balanced in shared]
-    if parts is not None:
-        laws = [_shaped(replace(law, parts=frozenset(parts))) for law in plain]
-        return laws, fit_laws(rows.friction, laws)
     # With a rise its exponent is free, so that its uncertainty counts in the other parameters.
     rising = [_shaped(law) for law in choose(rows.friction, [Part.STRIBECK], plain).laws]
     chosen = choose(rows.friction, [Part.EXPONENT] if curved else [], rising)
@@ -228,61 +208,38 @@ def _shaped(law: Law) -> Law:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Element:
-    """One element of the fit: its law, its fitted parameters x with their covariance, and which are determined."""
+def _estimates(element: FittedLaw, speeds: Speeds) -> Estimates:
+    """Return the estimates, given the speeds with data."""
+    absent = f"no Stribeck effect shows at speeds from {speeds.low:.3g} to {speeds.high:.3g} rad/s"
+    known = element.estimates(_doubt)
+    estimates = {name: known.get(name, ParameterEstimate.unknown(absent)) for name in SLIDING}
+    if VISCOUS_EXPONENT in known:
+        estimates[VISCOUS_EXPONENT] = known[VISCOUS_EXPONENT]
+    return estimates
 
-    name: str
-    law: Law
-    x: Array
-    covariance: Array
-    determined: Mask
 
-    def estimate(
-        self, speeds: Speeds, parts: Sequence[Part] | None, sources: tuple[BagSource, ...]
-    ) -> ElementEstimate:
-        """Return the estimates, given the speeds with data, and the parts that were asked for, if any."""
-        values, slopes = self.law.natural(self.x)
-        deviations_of = np.sqrt(np.diag(slopes @ self.covariance @ slopes.T)).tolist()
-        spread = dict(zip(values, deviations_of, strict=True))
-        told = (slopes[:, ~self.determined] == 0.0).all(axis=1)
-        known = dict(zip(values, told.tolist(), strict=True))
-        absent = (
-            f"no Stribeck effect shows at speeds from {speeds.low:.3g} to {speeds.high:.3g} rad/s"
-        )
-        if parts is not None and Part.STRIBECK not in parts:
-            absent = NOT_IN_MODEL
-        estimates = {}
-        for name in (*SLIDING, VISCOUS_EXPONENT):
-            if name in values:
-                value = values[name]
-                reason = ""
-                if not known[name]:
-                    reason = f"at a bound of its range, or not separable from other parameters: {value:.3g}"
-                elif spread[name] > _MAX_RELATIVE_SD * abs(value):
-                    reason = f"standard deviation {spread[name]:.3g} at a value of {value:.3g}"
-                estimate = ParameterEstimate(value, spread[name])
-                estimates[name] = ParameterEstimate.unknown(reason) if reason else estimate
-            elif name != VISCOUS_EXPONENT:
-                estimates[name] = ParameterEstimate.unknown(absent)
-        return ElementEstimate(self.name, estimates, sources)
+def _doubt(_: str, value: float, deviation: float, determined: bool) -> str:
+    if not determined:
+        return f"at a bound of its range, or not separable from other parameters: {value:.3g}"
+    if deviation > _MAX_RELATIVE_SD * abs(value):
+        return f"standard deviation {deviation:.3g} at a value of {value:.3g}"
+    return ""
 
-    def curve(self, rows: SweepRows, number: int, result: Fit) -> FrictionCurve:
-        """Return the points of the element: what everything but it leaves of each row on which it acts."""
-        steady = rows.friction.elements[number]
-        assert isinstance(steady, SteadyRows)
-        fitted = self.law.curve(steady.velocity, self.x)[0]
-        sides = []
-        for sign in (-1.0, 1.0):
-            speed = np.abs(steady.velocity[sign * steady.velocity > 0.0])
-            sides.append(sign * np.geomspace(speed.min(), speed.max(), _LINE_POINTS))
-        grid = np.sort(np.concatenate(sides))
-        torque, slopes = self.law.curve(grid, self.x)
-        deviation = np.sqrt(np.einsum("ki,ij,kj->k", slopes, self.covariance, slopes))
-        return FrictionCurve(
-            velocity=steady.velocity,
-            torque=fitted + result.residual[steady.rows] / steady.gain,
-            deviation=result.noise[rows.slopes[steady.rows]] / np.abs(steady.gain),
-            fitted=fitted,
-            line=np.stack([grid, torque, deviation]),
-        )
+
+def _curve(element: FittedLaw, rows: SweepRows, number: int, result: Fit) -> FrictionCurve:
+    """Return the points of an element: what everything but it leaves of each row on which it acts."""
+    steady = rows.friction.elements[number]
+    assert isinstance(steady, SteadyRows)
+    fitted = element.curve(steady.velocity)[0]
+    sides = []
+    for sign in (-1.0, 1.0):
+        speed = np.abs(steady.velocity[sign * steady.velocity > 0.0])
+        sides.append(sign * np.geomspace(speed.min(), speed.max(), _LINE_POINTS))
+    grid = np.sort(np.concatenate(sides))
+    return FrictionCurve(
+        velocity=steady.velocity,
+        torque=fitted + result.residual[steady.rows] / steady.gain,
+        deviation=result.noise[rows.slopes[steady.rows]] / np.abs(steady.gain),
+        fitted=fitted,
+        line=np.stack([grid, *element.curve(grid)]),
+    )

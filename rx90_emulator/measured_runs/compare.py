@@ -286,15 +286,9 @@ def _bandwidths(
     if bandwidth is None and has_setpoints:
         rate = 1.0 / float(np.median(np.diff(record.time)))
         position = min(highest, _MAX_BANDWIDTH_SHARE * rate)
-        return Bandwidths(
-            position,
-            position / 3.0,
-            "the set-points are in the bag, so no noise of positions is in them",
-        )
+        return Bandwidths(position, position / 3.0)
     if bandwidth is None:
-        return Bandwidths.of_motion([record]).at_most(
-            highest, f"{_MAX_BANDWIDTH_SHARE:g} of the position loop's rate"
-        )
+        return Bandwidths.of_motion([record]).at_most(highest)
     if not 0.0 < bandwidth <= highest:
         raise IdentificationError(
             f"--bandwidth is {bandwidth:g} Hz; accepted: above 0, up to {highest:g} Hz"

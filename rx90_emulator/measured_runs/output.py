@@ -32,7 +32,7 @@ def measured_facts(result: MeasuredComparison) -> tuple[str, ...]:
     saturated = zip(result.names, result.saturated, strict=True)
     return (
         f"set-points: {result.setpoints}",
-        f"torques and positions are compared below {result.bandwidths.torque:.3g} Hz ({result.bandwidths.reason})",
+        f"torques and positions are compared below {result.bandwidths.torque:.3g} Hz",
         f"the simulated motion is {abs(result.lag) * 1e3:.3f} ms {'later' if result.lag >= 0.0 else 'earlier'}, which "
         "is taken out",
         *(
@@ -89,7 +89,7 @@ def measured_page(result: MeasuredComparison, files: tuple[str, ...]) -> str:
         verdict=measured_verdict(result),
         result=result,
         files=files,
-        torques=plots.torques(result.torque, result.names, "Nm", "simulated"),
+        torques=plots.torques(result.torque, result.names, "simulated"),
         positions=_positions(result),
     )
 

@@ -26,8 +26,6 @@ from rx90_common.description.drives import DriveParameters
 from rx90_common.description.poses import Poses
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.friction import FrictionElement, FrictionSet
-from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.files import file_stem, write_text
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.motion import Motion
@@ -75,10 +73,6 @@ def poses_of(setup: Setup) -> Poses:
     return poses
 
 
-_MIN_SPEEDS = 5  # with fewer the Stribeck curve is not determined
-_MAX_SPEEDS = 1000  # two hours for each group
-
-
 @dataclass(frozen=True)
 class PlanOptions:
     """The options of a plan.
@@ -103,12 +97,6 @@ class PlanOptions:
     tone_amplitudes: tuple[float, ...] = (2.4e-4, 1.2e-4, 5e-5, 1.6e-5, 6e-6)
     burst: float = 8.0
 
-    def __post_init__(self) -> None:
-        if not _MIN_SPEEDS <= self.speeds <= _MAX_SPEEDS:
-            raise IdentificationError(
-                f"{self.speeds} speeds; accepted: {_MIN_SPEEDS} to {_MAX_SPEEDS}"
-            )
-
 
 _QUICK: Mapping[str, Any] = MappingProxyType(
     {
@@ -122,7 +110,7 @@ _QUICK: Mapping[str, Any] = MappingProxyType(
 
 
 def plan_experiments(
-    setup: Setup, groups: Sequence[str] = (), *, quick: bool = False, speeds: int | None = None
+    setup: Setup, groups: Sequence[str] = (), *, quick: bool = False
 ) -> tuple[Experiment, ...]:
     """Return the experiments for an arm.
 
@@ -130,18 +118,15 @@ def plan_experiments(
         setup: robot and drives, read from files; one of the files contains the poses.
         groups: names of directions; all of them if empty.
         quick: whether fewer speeds, one pose and one micro-oscillation suffice.
-        speeds: in each direction; None for the default number.
 
     Raises:
-        IdentificationError: for an unknown group or a number of speeds that is not acceptable.
+        IdentificationError: for an unknown group.
         ConfigError: if the robot has no poses.
     """
     poses = poses_of(setup)
     options = dict(_QUICK) if quick else {}
     if quick:
         poses = poses.replaced(sweeps={"positions": poses.sweeps.positions[:1]})
-    if speeds is not None:
-        options["speeds"] = speeds
     return make_plan(
         setup.robot, setup.drives, PlanOptions(poses=poses, groups=tuple(groups), **options)
     )
@@ -332,8 +317,6 @@ def _approach(robot: RobotModel, motion: Motion, pose: ArrayLike) -> None:
 
 
 INDEX = "experiments.yaml"
-EMULATED = "emulated_friction.yaml"
-"""File with the friction that made the runs of a folder; only for runs of the emulator."""
 
 
 class ExperimentsFile(FileModel):
@@ -403,22 +386,3 @@ def read_index(folder: Path) -> IdentificationBags:
         if not (folder / name).exists():
             raise IdentificationError(f"{folder / INDEX} names {plain(name)}, which is not there")
     return IdentificationBags(*(tuple(folder / name for name in names) for names in uses))
-
-
-def write_emulated(folder: Path, friction: FrictionSet) -> None:
-    """Write the friction that runs were made with, for comparison with the identified one."""
-    elements = dict(zip(friction.names, friction.elements, strict=True))
-    source = "the emulator made the runs beside this file with it"
-    write_text(
-        folder / EMULATED, FrictionFile.of(elements, provenance="assumed", source=source).text()
-    )
-
-
-def read_emulated(bags: Iterable[Path]) -> dict[str, FrictionElement]:
-    """Return the friction that all bags were made with, by element; empty if it is not known for all of them."""
-    places = {bag.absolute().parent / EMULATED for bag in bags}
-    frictions = [
-        FrictionFile.read(place).elements.entries if place.is_file() else {}
-        for place in sorted(places)
-    ]
-    return frictions[0] if all(friction == frictions[0] for friction in frictions) else {}

@@ -23,7 +23,6 @@ from rx90_emulator.identification.experiments.options import ExcitationOptions
 from rx90_emulator.identification.experiments.plan import (
     TOPICS,
     Experiment,
-    write_emulated,
     write_index,
 )
 from rx90_emulator.loop.closed_loop import simulate
@@ -130,8 +129,6 @@ def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | st
     ):
         for number, experiment in enumerate(bar):
             run_on_engine(setup, experiment, new / experiment.name)
-            if not number:
-                write_emulated(new, setup.friction)
             write_index(new, plan[: number + 1])
 
 

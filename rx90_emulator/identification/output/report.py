@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime, timezone
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,29 +15,26 @@ from bokeh.plotting import figure
 from rx90_common.base.share import versions
 from rx90_common.report.page import render_page
 from rx90_emulator.identification.output import plots, summary
-from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.result import (
     ExcitationIdentification,
-    FrictionIdentification,
     Identification,
 )
 from rx90_emulator.identification.validation.prediction import Validation
 
 
-def _render(template: str, date: datetime | None = None, unit: str = "Nm", **values: Any) -> str:
-    """Return a page on torques in a unit; templates can use the functions of `summary`, and `values`."""
-    day = (date or datetime.now(timezone.utc)).strftime("%Y-%m-%d %H:%M UTC")
-    words = partial(in_unit, unit=unit)
+def _render(template: str, date: datetime, **values: Any) -> str:
+    """Return a page; templates can use the functions of `summary`, and `values`."""
+    day = f"{date:%Y-%m-%d %H:%M} UTC"
     package = "rx90_emulator.identification.output"
-    return render_page(package, template, words, date=day, summary=summary, zip=zip, **values)
+    return render_page(package, template, date=day, summary=summary, zip=zip, **values)
 
 
 def _checks(checks: Sequence[Validation]) -> list[tuple[Validation, str, list[figure]]]:
     """Return validations with the names of their bags, and their plots."""
     shown = []
     for check in checks:
-        figures = plots.torques(check.torque, check.names, check.unit)
-        shown.append((check, Path(check.source).name, [*figures, *plots.tips(check)]))
+        figures = plots.torques(check.torque, check.torque.names)
+        shown.append((check, Path(check.source).name, figures))
     return shown
 
 
@@ -49,30 +45,23 @@ def check_page(checks: Sequence[Validation], friction_file: str) -> str:
         checks: one for each bag.
         friction_file: name of the file.
     """
-    unit = checks[0].unit
-    return _render(
-        "friction_check.html.j2", unit=unit, checks=_checks(checks), friction_file=friction_file
-    )
+    now = datetime.now(timezone.utc)
+    shown = _checks(checks)
+    return _render("friction_check.html.j2", now, checks=shown, friction_file=friction_file)
 
 
-def identification_page(result: Identification, date: datetime, files: Sequence[str]) -> str:
+def identification_page(result: Identification, files: Sequence[str]) -> str:
     """Return the text of the page on an identification.
 
     Args:
         result: the identification.
-        date: of it.
         files: names of the files, and last a sentence about them.
     """
     names = result.arm.element_names
     rows = summary.friction_rows(names, result.elements)
-    loops = result.presliding.loops if isinstance(result, FrictionIdentification) else {}
-    fitted = []
-    if isinstance(result, ExcitationIdentification) and not result.validations:
-        fitted = [max(result.torques, key=lambda run: run.source.duration)]
     return _render(
         "identification.html.j2",
-        date,
-        result.unit,
+        result.date,
         result=result,
         kind="excitation" if isinstance(result, ExcitationIdentification) else "sweeps",
         files=files,
@@ -81,9 +70,5 @@ def identification_page(result: Identification, date: datetime, files: Sequence[
         columns=summary.friction_columns(rows),
         lacking=summary.lacking(names, result.elements),
         checks=_checks(result.validations),
-        fitted=[(run, plots.torques(run, run.names, result.unit)) for run in fitted],
-        curves=[
-            plots.friction_curve(name, curve, result.unit) for name, curve in result.curves.items()
-        ],
-        loops=[plots.presliding_loop(joint, *loop) for joint, loop in loops.items()],
+        curves=[plots.friction_curve(name, curve) for name, curve in result.curves.items()],
     )

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Mapping, Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,10 +35,8 @@ from rx90_emulator.identification.estimates import (
     ParameterEstimate,
     digits,
 )
-from rx90_emulator.identification.fitted import ASSUMED
-from rx90_emulator.identification.output.friction_file import FileFacts, elements_text
-from rx90_emulator.identification.output.summary import bodies_warnings, in_currents
-from rx90_emulator.identification.records import in_unit
+from rx90_emulator.identification.output.friction_file import friction_text
+from rx90_emulator.identification.output.summary import bodies_warnings
 from rx90_emulator.identification.result import ExcitationIdentification
 from rx90_emulator.identification.validation.prediction import Validation
 
@@ -172,19 +169,19 @@ def folder_base(arm: RigidArm, urdf: Path) -> tuple[FolderBase | None, str]:
     return FolderBase(robot, turning, None, held), provenance + fixed
 
 
-def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[str, str], str]:
+def robot_files(result: ExcitationIdentification) -> tuple[dict[str, str], str]:
     """Return the text of each of the robot's files by its name, and a line that describes them."""
     setup = result.robot.setup
     if setup is not None:
         note = "a robot folder; what the runs do not determine is as it was"
-        return robot_texts(result, setup.files.urdf, FolderBase.of(setup.files), date), note
+        return robot_texts(result, setup.files.urdf, FolderBase.of(setup.files)), note
     urdf = Path(str(result.robot.options.urdf))
     base, note = folder_base(result.arm, urdf)
-    return robot_texts(result, urdf, base, date), note
+    return robot_texts(result, urdf, base), note
 
 
 def robot_texts(
-    result: ExcitationIdentification, urdf: Path, base: FolderBase | None, date: datetime
+    result: ExcitationIdentification, urdf: Path, base: FolderBase | None
 ) -> dict[str, str]:
     """Return the text of each file by its name.
 
@@ -192,30 +189,18 @@ def robot_texts(
         result: the identification.
         urdf: the description that gets other inertials.
         base: basis of a whole folder; None for URDF and friction file alone.
-        date: of the identification.
     """
     arm = result.arm
     inertias = result.consistency.inertias
     if not np.isfinite(inertias.parameters).all():
         raise IdentificationError("inertial parameters that are not finite; nothing is written")
     names = arm.element_names if base is None else base.turning.element_names(arm.names)
-    noted = zip(arm.element_names, names, strict=True)
     bandwidths = result.compared
     speeds = zip(names, result.fitted.speeds, strict=True)
-    facts = FileFacts(
-        fallback=result.robot.fallback_name or ASSUMED,
-        date=date,
-        joints=_joints(result),
-        notes={new: result.element_notes[old] for old, new in noted if old in result.element_notes},
-        about={
-            "bandwidths": {
-                "position": float(bandwidths.position),
-                "torque": float(bandwidths.torque),
-            },
-            "speeds": {name: [digits(low, 3), digits(high, 3)] for name, (low, high) in speeds},
-        },
-        unit=result.unit,
-    )
+    about = {
+        "bandwidths": {"position": float(bandwidths.position), "torque": float(bandwidths.torque)},
+        "speeds": {name: [digits(low, 3), digits(high, 3)] for name, (low, high) in speeds},
+    }
     bodies: dict[str, Array | None] = dict.fromkeys(inertias.prior.dropped)
     for body, pseudo in zip(inertias.prior.bodies, inertias.pseudo, strict=True):
         inverse = np.linalg.inv(body.frame)
@@ -224,11 +209,10 @@ def robot_texts(
     if inertias.rotors.any():
         rotors = ", ".join(f"{value:.6g}" for value in inertias.rotors)
         remark += f"Rotors are no part of them: {rotors} kg m^2 at the joints. "
-    remark += "".join(f"{text}. " for text in in_currents(result))
     held = () if base is None else base.held
     texts = {
         FILES["urdf"]: edited_urdf(urdf.read_text(encoding="utf-8"), bodies, held, remark),
-        FILES["friction"]: elements_text(names, result.elements, facts),
+        FILES["friction"]: friction_text(result, names, about, _joints(result)),
     }
     return (
         texts if base is None else texts | _folder_texts(result, base, names, texts[FILES["urdf"]])
@@ -258,7 +242,7 @@ def _folder_texts(
         fastest = np.max(
             [np.abs(run.acceleration).max(axis=0) for run in result.problem.runs], axis=0
         )
-        rotors = np.asarray(result.consistency.inertias.rotors)
+        rotors = result.consistency.inertias.rotors
         drives, controller = assumed_files(
             base.robot, pin.buildModelFromXML(urdf), base.turning, rotors, new, fastest
         )
@@ -303,15 +287,8 @@ def _drive_values(result: ExcitationIdentification) -> dict[tuple[str, str], Ide
             raise IdentificationError(
                 f"the {key} of {worst} was identified as {min(amounts):.3g}; accepted: >= 0"
             )
-        shared = listed(name for name, number in place.items() if not inertias.alone[number])
-        how = (
-            f"; of {shared} only the sum with the links, divided near to what was known"
-            if shared
-            else ""
-        )
-        values[block, key] = Identified(
-            [digits(amount, 12) for amount in amounts], "identified", _origin(result) + how
-        )
+        written = [digits(amount, 12) for amount in amounts]
+        values[block, key] = Identified(written, "identified", _origin(result))
     return values
 
 
@@ -369,14 +346,14 @@ _PARAMETERS_HEAD = """\
 """
 
 
-def parameters_text(result: ExcitationIdentification, date: datetime) -> str:
+def parameters_text(result: ExcitationIdentification) -> str:
     """Return the results of the runs beside friction as one YAML file for programs and for the record."""
     fitted = result.fitted
     bodies = result.consistency.inertias
     deviation = np.where(fitted.determined, fitted.deviation, np.nan)
     correlation = (fitted.covariance / np.outer(deviation, deviation)).tolist()
     content: dict[str, Any] = {
-        "date": date.isoformat(timespec="seconds"),
+        "date": result.date.isoformat(timespec="seconds"),
         "versions": versions(),
         "bags": [
             {
@@ -411,7 +388,6 @@ def parameters_text(result: ExcitationIdentification, date: datetime) -> str:
             "relative_error": digits(result.consistency.shares[1]),
         },
         "remarks": [
-            *in_currents(result),
             *result.notes,
             *result.warnings,
             *bodies_warnings(result),
@@ -425,7 +401,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime) -> str:
         },
     }
     check_numbers(content, LARGEST)
-    return in_unit(_PARAMETERS_HEAD + yaml_text(content), result.unit)
+    return _PARAMETERS_HEAD + yaml_text(content)
 
 
 def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:

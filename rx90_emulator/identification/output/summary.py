@@ -10,15 +10,12 @@ from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import TypeVar
 
 from rx90_common.estimation.law import Part
-from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_emulator.identification.estimates import (
-    FrictionCurve,
     IdentifiedElement,
     ParameterEstimate,
 )
 from rx90_emulator.identification.fitted import PART_OF
-from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.result import (
     ExcitationIdentification,
     FrictionIdentification,
@@ -48,57 +45,38 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     ]
 
 
-def together(values: Iterable[tuple[str, _Value]]) -> list[tuple[str, _Value]]:
-    """Return values with the names that have them, each value once."""
-    names: dict[_Value, list[str]] = {}
-    for name, value in values:
-        names.setdefault(value, []).append(name)
-    return [(", ".join(those), value) for value, those in names.items()]
-
-
 def identification_summary(result: Identification) -> str:
     """Return values with deviations, what is not identified with reasons, goodness of fit, alarms and verdicts."""
-    lines = in_currents(result)
-    lines += _friction_lines(result)
+    lines = _friction_lines(result)
     if isinstance(result, FrictionIdentification):
         lines += _sweep_lines(result)
     if isinstance(result, ExcitationIdentification):
         lines += _excitation_lines(result)
     lines += [f"alarm: {alarm}" for alarm in result.alarms]
     lines += [validation_verdict(check, result.scope) for check in result.validations]
-    return in_unit("\n".join(lines), result.unit)
+    return "\n".join(lines)
 
 
 def _friction_lines(result: Identification) -> list[str]:
-    """Return the table of identified values, true ones below where they are known, and the reasons for the others."""
+    """Return the table of identified values, and the reasons for the others."""
     names = result.arm.element_names
     shown = friction_rows(names, result.elements)
     columns = friction_columns(shown)
-    truth = true_elements(result)
-    rows = []
-    for name, estimates in shown.items():
-        rows.append([name, *(_with_deviation(estimates.get(column)) for column, _ in columns)])
-        if name in truth:
-            rows.append(
-                ["  true", *(f"{true_value(truth[name], column):.6g}" for column, _ in columns)]
-            )
+    rows = [
+        [name, *(_with_deviation(estimates.get(column)) for column, _ in columns)]
+        for name, estimates in shown.items()
+    ]
     lines = table(["element", *(f"{name}, {unit}" for name, unit in columns)], rows)
     if rows:
         lines.append("+- is one standard deviation; 95 % lie within 1.96 of them")
     nothing = [name for name in names if name not in shown]
     if nothing:
         lines.append(f"{', '.join(nothing)}: nothing identified")
-    # Where elements have different reasons, the report gives them.
     lines += [
-        f"not identified: {parameters} of {whose}: {reasons[0] if len(reasons) == 1 else 'reasons in the report'}"
-        for parameters, whose, reasons in lacking(names, result.elements)
+        f"not identified: {parameters} of {whose}: {reason}"
+        for parameters, whose, reason in lacking(names, result.elements)
     ]
     return lines
-
-
-def true_elements(result: Identification) -> Mapping[str, FrictionElement]:
-    """Return the elements that emulated runs were made with, by name; empty where none are known."""
-    return result.truth if isinstance(result, FrictionIdentification) else {}
 
 
 def _with_deviation(estimate: ParameterEstimate | None) -> str:
@@ -110,29 +88,11 @@ def _with_deviation(estimate: ParameterEstimate | None) -> str:
 
 def _sweep_lines(result: FrictionIdentification) -> list[str]:
     """Return how well the curves fit, and what was used of each bag of sweeps."""
-    fits = [f"fit of {name}: {fit_text(curve)}" for name, curve in result.curves.items()]
-    uses = [f"{use.bag.path}: {use.text(result.arm.element_names)}" for use in result.sliding.usage]
-    return [
-        *fits,
-        f"recorded over described weight: {', '.join(map(' '.join, scale_texts(result)))}",
-        *uses,
+    fits = [
+        f"fit of {name}: residual {curve.rms:.3g} Nm RMS, {curve.share:.2%} of its friction"
+        for name, curve in result.curves.items()
     ]
-
-
-def scale_texts(result: FrictionIdentification) -> list[tuple[str, str]]:
-    """Return how many times the torque that the described bodies need was recorded, by joint, or that none can tell."""
-    scales = result.sliding.scales.items()
-    return [
-        (joint, "cannot be told" if math.isnan(scale) else f"{scale:.3g}")
-        for joint, scale in scales
-    ]
-
-
-def fit_text(curve: FrictionCurve) -> str:
-    """Return the goodness of fit of an element's curve in words."""
-    return (
-        f"residual {curve.rms:.3g} Nm RMS, {curve.share:.2%} of its friction, chi2 {curve.chi2:.3g}"
-    )
+    return [*fits, *(f"{use.bag.path}: {use.text}" for use in result.sliding.usage)]
 
 
 def _excitation_lines(result: ExcitationIdentification) -> list[str]:
@@ -155,7 +115,7 @@ def _excitation_lines(result: ExcitationIdentification) -> list[str]:
     shares = [
         [
             f"{use} {run.source.path.name}",
-            *(number(value, ".1%") for value in (*run.share, run.total_share)),
+            *(number(value, ".1%") for value in (*run.rms_share, run.total_share)),
         ]
         for use, run in runs
     ]
@@ -176,24 +136,14 @@ def _excitation_lines(result: ExcitationIdentification) -> list[str]:
     )
     bandwidths = result.problem.runs[0].bandwidths
     lines.append(
-        f"low-pass of the fit: {bandwidths.position:.3g} Hz, torques {bandwidths.torque:.3g} Hz: {bandwidths.reason}"
+        f"low-pass of the fit: {bandwidths.position:.3g} Hz, torques {bandwidths.torque:.3g} Hz"
     )
-    lines += [note if note.startswith("warning") else f"recording: {note}" for note in result.notes]
+    lines += [f"warning: {note}" for note in result.notes]
     lines.append(f"model: {kept_parts(result)}")
-    lines += filter(None, (result.consistency.text, result.consistency.open_text))
+    lines.append(result.consistency.text)
     return [
         *lines,
         *(f"warning: {warning}" for warning in (*result.warnings, *bodies_warnings(result))),
-    ]
-
-
-def in_currents(result: Identification) -> list[str]:
-    """Return a warning if torques are currents, which a simulation must not use as torques; else nothing."""
-    if result.unit == "Nm":
-        return []
-    return [
-        f"warning: efforts in {result.unit} and no torque constants: friction, inertias and the files are in that "
-        "scale, and no simulation should load them"
     ]
 
 
@@ -213,10 +163,7 @@ def kept_parts(result: ExcitationIdentification) -> str:
         if having:
             texts.append(f"{part.value}: {', '.join(having)}")
     text = " + ".join(texts)
-    if not is_open:
-        return text
-    compared = "fits better so, but its " if result.fitted.trials else ""
-    return f"{text}; * {compared}parameters stay open"
+    return f"{text}; * parameters stay open" if is_open else text
 
 
 def bodies_warnings(result: ExcitationIdentification) -> list[str]:
@@ -264,18 +211,13 @@ def check_summary(checks: Sequence[Validation]) -> str:
     """Return a table of the joints and the verdict for each bag that a friction file was compared with."""
     lines = []
     for check in checks:
-        values = zip(
-            check.names, check.rms, check.rms_share, check.worst, check.worst_share, strict=True
-        )
-        rows = [
-            (name, number(a), number(b, ".2%"), number(c), number(d, ".2%"))
-            for name, a, b, c, d in values
-        ]
-        lines += table(("joint", "RMS, Nm", "of torque", "worst, Nm", "of largest"), rows)
+        torque = check.torque
+        values = zip(torque.names, torque.rms, torque.rms_share, strict=True)
+        rows = [(name, number(rms), number(share, ".2%")) for name, rms, share in values]
+        lines += table(("joint", "RMS, Nm", "of torque"), rows)
         lines += [f"alarm: {alarm}" for alarm in check.alarms]
-        lines += [f"recording: {text}" for text in check.notes]
         lines.append(validation_verdict(check))
-    return in_unit("\n".join(lines), checks[0].unit)
+    return "\n".join(lines)
 
 
 def friction_rows(
@@ -306,13 +248,6 @@ def friction_columns(
     ]
 
 
-def true_value(element: FrictionElement, column: str) -> float:
-    """Return the value of an element that stands in a column of the table."""
-    name = column.replace("+", "_positive").replace("-", "_negative")
-    values = element.parameters
-    return values[name] if name in values else values[f"{name}_positive"]
-
-
 def _by_column(identified: IdentifiedElement) -> dict[str, ParameterEstimate]:
     """Return estimates by the names of columns; both signs as one where they are equal."""
     estimates = identified.estimates
@@ -323,12 +258,7 @@ def _by_column(identified: IdentifiedElement) -> dict[str, ParameterEstimate]:
         elif f"{name}_positive" in estimates:
             positive = estimates[f"{name}_positive"]
             negative = estimates[f"{name}_negative"]
-            unknown = (
-                not positive.identifiable
-                and not negative.identifiable
-                and positive.reason == negative.reason
-            )
-            if unknown or positive == negative:
+            if positive == negative:
                 columns[name] = positive
             else:
                 columns |= {f"{name}+": positive, f"{name}-": negative}
@@ -337,23 +267,14 @@ def _by_column(identified: IdentifiedElement) -> dict[str, ParameterEstimate]:
 
 def lacking(
     names: Sequence[str], elements: Sequence[IdentifiedElement]
-) -> list[tuple[str, str, tuple[str, ...]]]:
-    """Return unidentified parameters with their elements and reasons, grouped by elements."""
-    reasons: dict[str, tuple[tuple[str, str], ...]] = {}  # by parameter: elements with the reasons
+) -> list[tuple[str, str, str]]:
+    """Return unidentified parameters, the elements that lack them for the same reason, and the reason."""
+    without: dict[tuple[str, str], list[str]] = {}
     for element, identified in zip(names, elements, strict=True):
         for name, estimate in _by_column(identified).items():
             if not estimate.identifiable:
-                reasons[name] = (*reasons.get(name, ()), (element, estimate.reason))
-    groups = []
-    for parameters, pairs in together(reasons.items()):
-        whose = (
-            "all elements"
-            if len(pairs) == len(names)
-            else ", ".join(element for element, _ in pairs)
-        )
-        texts = together(pairs)
-        words = [
-            reason if len(texts) == 1 else f"{elements}: {reason}" for elements, reason in texts
-        ]
-        groups.append((parameters, whose, tuple(words)))
-    return groups
+                without.setdefault((name, estimate.reason), []).append(element)
+    groups: dict[tuple[str, str], list[str]] = {}
+    for (name, reason), whose in without.items():
+        groups.setdefault((", ".join(whose), reason), []).append(name)
+    return [(", ".join(group), whose, reason) for (whose, reason), group in groups.items()]

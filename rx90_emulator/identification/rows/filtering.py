@@ -77,12 +77,10 @@ class Bandwidths(NamedTuple):
     Attributes:
         position: of the positions' Butterworth filter (both directions together: half the amplitude), Hz.
         torque: of the low-pass that torque and model share (half the amplitude at 1.5 times it), Hz.
-        reason: how they follow from the data, in one sentence.
     """
 
     position: float
     torque: float
-    reason: str = "as given"
 
     @classmethod
     def of(cls, records: Sequence[JointRecord], given: float | None = None) -> Bandwidths:
@@ -105,46 +103,24 @@ class Bandwidths(NamedTuple):
             * MOST_ROWS
             / (ROWS_PER_HZ * duration * int(moving_joints(records).sum()))
         )
-        least = cls._of_motion(records, float(bands[0]))
-        limits = {
-            "the widest in which the positions' noise leaves the accelerations clean": float(
-                bands[1]
-            ),
-            f"that of {MOST_ROWS} rows": rows,
-            f"{MOST_OF_RATE:g} of the sampling rate": _highest(records),
-        }
-        reason = min(limits, key=lambda name: limits[name])
-        position = limits[reason]
+        least = cls.of_motion(records)
+        position = min(float(bands[1]), rows, _highest(records))
         if position <= least.position:
             return least
-        return cls(
-            position, position / POSITION_OVER_TORQUE, f"{reason}; the torque gets a third of it"
-        )
+        return cls(position, position / POSITION_OVER_TORQUE)
 
     @classmethod
     def of_motion(cls, records: Sequence[JointRecord]) -> Bandwidths:
         """Return the bandwidths in which errors are stated: twenty times the motion's band."""
-        return cls._of_motion(
-            records, float(np.median([record_bands(record)[0] for record in records]))
-        )
+        motion = float(np.median([record_bands(record)[0] for record in records]))
+        position = min(POSITION_OVER_MOTION * motion, _highest(records))
+        return cls(position, position / POSITION_OVER_TORQUE)
 
-    @classmethod
-    def _of_motion(cls, records: Sequence[JointRecord], motion: float) -> Bandwidths:
-        wanted = POSITION_OVER_MOTION * motion
-        position = min(wanted, _highest(records))
-        reason = f"{POSITION_OVER_MOTION:g} times the motion's band of {motion:.3g} Hz"
-        if position < wanted:
-            reason += f", no more than {MOST_OF_RATE:g} of the sampling rate"
-        return cls(
-            position, position / POSITION_OVER_TORQUE, f"{reason}; the torque gets a third of it"
-        )
-
-    def at_most(self, highest: float, of: str) -> Bandwidths:
-        """Return these with a positions' bandwidth of at most `highest`, Hz, which `of` names."""
+    def at_most(self, highest: float) -> Bandwidths:
+        """Return these with a positions' bandwidth of at most `highest`, Hz."""
         if self.position <= highest:
             return self
-        torque = min(self.torque, highest / POSITION_OVER_TORQUE)
-        return Bandwidths(highest, torque, f"{self.reason}; no more than {of}")
+        return Bandwidths(highest, min(self.torque, highest / POSITION_OVER_TORQUE))
 
 
 def moving_joints(records: Sequence[JointRecord]) -> Mask:
@@ -307,9 +283,9 @@ def _filtered(
         source=record.bag,
         names=record.names,
         time=even[inner],
-        position=np.asarray(smooth[inner]),
-        velocity=np.asarray(curve(count[inner], 1)),
-        acceleration=np.asarray(curve(count[inner], 2)),
+        position=smooth[inner],
+        velocity=curve(count[inner], 1),
+        acceleration=curve(count[inner], 2),
         torque=_resampled(time - torque_lead, record.torque[piece], even, 1)[inner],
         bandwidths=bandwidths,
     )
@@ -374,7 +350,7 @@ def _resampled(time: Array, values: Array, even: Array, degree: int) -> Array:
     tolerance = _STAMP_TOLERANCE * (even[1] - even[0]) + 2.0 * float(np.spacing(np.abs(time[-1])))
     if len(time) == len(even) and float(np.abs(time - even).max()) < tolerance:
         return values
-    return np.asarray(make_interp_spline(time, values, k=degree)(even))
+    return make_interp_spline(time, values, k=degree)(even)
 
 
 def low_pass_taps(rate: float, bandwidth: float) -> Array:
@@ -385,7 +361,7 @@ def low_pass_taps(rate: float, bandwidth: float) -> Array:
         bandwidth: Hz.
     """
     count, beta = _kaiser(rate, bandwidth)
-    return np.asarray(firwin(count, 1.5 * bandwidth, window=("kaiser", beta), fs=rate))
+    return firwin(count, 1.5 * bandwidth, window=("kaiser", beta), fs=rate)
 
 
 def _kaiser(rate: float, bandwidth: float) -> tuple[int, float]:
@@ -410,21 +386,4 @@ def low_pass(values: Array, taps: Array, down: int = 1) -> Array:
     filtered = upfirdn(taps, np.pad(columns, ((0, 0), (before, 0))), 1, down)[
         :, first : first + count
     ]
-    return np.asarray(filtered.T.reshape(count, *values.shape[1:]))
-
-
-def recording_notes(records: Sequence[JointRecord], bandwidths: Bandwidths) -> tuple[str, ...]:
-    """Return in words how many gaps were interpolated or split runs."""
-    notes = []
-    longest = BRIDGED_PERIODS / bandwidths.position
-    for record in records:
-        steps = np.array([record.time[k] - record.time[k - 1] for k in gaps(record.time).tolist()])
-        short = int(np.count_nonzero(steps <= longest))
-        if short:
-            notes.append(
-                f"{record.source.name}: {counted(short, 'gap')} of up to {longest:.3g} s interpolated"
-            )
-        if short < len(steps):
-            long = counted(len(steps) - short, "gap")
-            notes.append(f"{record.source.name}: {long} of up to {steps.max():.3g} s split the run")
-    return tuple(notes)
+    return filtered.T.reshape(count, *values.shape[1:])

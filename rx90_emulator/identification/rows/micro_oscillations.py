@@ -295,18 +295,14 @@ class BristleRows:
             derivatives.append(slopes.reshape(-1, len(x)))
         return np.concatenate(torques), np.concatenate(derivatives)
 
-    def along(self, x: Array, number: int) -> tuple[Array, Array]:
-        """Return block means along a motion: friction at the joints, (b, k), and bristles' c0 z, (b, e), Nm."""
+    def deflection_torque(self, x: Array, number: int) -> Array:
+        """Return block means of the bristles' c0 z along a motion, Nm, shape (b, e)."""
         values = np.exp(x[self.bristles]).reshape(-1, 2)
         starts = x[self.bristles.stop :].reshape(len(self.motions), -1)[number]
-        traces = self._traces[number]
-        torques = []
-        stiff = []
-        for trace, (c0, c1), start in zip(traces, values, starts, strict=True):
-            mean = trace.bristles(c0, start)
-            torques.append(mean @ (1.0, c1) + trace.viscous)
-            stiff.append(mean[:, 0])
-        return np.column_stack(torques) @ self.inputs, np.column_stack(stiff)
+        traces = zip(self._traces[number], values, starts, strict=True)
+        return np.column_stack(
+            [trace.bristles(c0, start)[:, 0] for trace, (c0, _), start in traces]
+        )
 
     @cached_property
     def _traces(self) -> list[list[_Trace]]:
@@ -402,4 +398,4 @@ def _active(position: Array, step: float) -> Mask:
     slow = sosfiltfilt(butter(2, _DETECTION_HZ[0], fs=rate, output="sos"), centred, axis=0)
     drift = uniform_filter1d((slow - uniform_filter1d(slow, span, axis=0)) ** 2, span, axis=0)
     quiet = (excursion < _MAX_EXCURSION).all(axis=1, keepdims=True)
-    return np.asarray(quiet & (power > _MIN_OSCILLATION**2) & (power > drift))
+    return quiet & (power > _MIN_OSCILLATION**2) & (power > drift)

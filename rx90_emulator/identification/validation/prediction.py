@@ -1,4 +1,4 @@
-"""The verdict on friction by an unused bag: the drives' torques, and the path of the tip.
+"""The verdict on friction by an unused bag: the drives' torques.
 
 Torques are predicted by the values in the files, for a given friction file and for a new one alike: rigid arm, and the
 elements' bristles along the recorded motion. Recorded and predicted torques pass one low-pass and are compared at the
@@ -11,15 +11,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from operator import attrgetter
 
 import numpy as np
 
 from rx90_common.bags.mapping import is_table
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import IdentificationError
-from rx90_common.description.kinematics import forward
-from rx90_common.friction import FrictionElement, FrictionSet
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.options import (
@@ -36,22 +33,16 @@ from rx90_emulator.identification.rows.filtering import (
     Bandwidths,
     FilteredRun,
     filter_record,
-    recording_notes,
 )
 from rx90_emulator.identification.sanity import Recorded, alarms
 from rx90_emulator.identification.sliding import SlidingFit
 from rx90_emulator.identification.validation.verdict import (
     Criterion,
     RunTorques,
-    largest,
     run_torques,
     torque_criteria,
 )
-from rx90_emulator.measured_runs.compare import (
-    read_setpoints,
-    run_along,
-    setpoint_rows,
-)
+from rx90_emulator.measured_runs.compare import read_setpoints
 
 _MAX_WEIGHT_SD = 0.05  # standard deviation over RMS torque up to which a joint's error of the weights is corrected
 _BRISTLE_STEP_S = 1e-3  # s, longest step of constant velocity
@@ -61,51 +52,26 @@ _MAX_BANDWIDTH_OVER_RATE = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """Recorded and predicted torques, and the distance between recorded and simulated tip.
+    """Recorded and predicted torques of one bag.
 
     Attributes:
-        names: joints, n of them.
         torque: recorded and predicted torques of the joints.
-        tip_time: s, shape (k,); empty if the bag contains no set-points.
-        tip_distance: of the simulated from the recorded tip, m, shape (k,).
         tolerances: limits for agreement.
         source: the bag.
         alarms: what looks wrong in the bag, a sentence each, if it is compared with a given friction.
-        unit: of the torques, which are currents if the friction was identified from currents.
-        notes: what was left out of the bag, if it is compared with a given friction.
         assumed_bristles: whether c0 and c1 of any element are assumed: then torques at reversals do not judge the rest.
         fitted: torques by identified base parameters, beside those by the files with possible bodies; None where the
             bodies are the description's.
         simplest: of a rigid body with Coulomb and viscous friction, fitted to the same runs.
     """
 
-    names: tuple[str, ...]
     torque: RunTorques
-    tip_time: Array
-    tip_distance: Array
     tolerances: ValidationTolerances
     source: str
     alarms: tuple[str, ...] = ()
-    unit: str = "Nm"
-    notes: tuple[str, ...] = ()
     assumed_bristles: bool = False
     fitted: RunTorques | None = None
     simplest: RunTorques | None = None
-
-    rms = property(
-        attrgetter("torque.rms"),
-        doc="RMS torque difference, Nm, shape (n,); NaN for a joint at rest.",
-    )
-    worst = property(
-        attrgetter("torque.worst"),
-        doc="Largest torque difference, Nm, shape (n,); NaN as in `rms`.",
-    )
-    rms_share = property(
-        attrgetter("torque.rms_share"), doc="RMS difference over RMS recorded torque, shape (n,)."
-    )
-    worst_share = property(
-        attrgetter("torque.worst_share"), doc="Largest difference over largest torque, shape (n,)."
-    )
 
     @property
     def decisive(self) -> Criterion:
@@ -113,43 +79,16 @@ class Validation:
         return max(self.criteria, key=lambda part: np.nan_to_num(part.value / part.limit, nan=-1.0))
 
     @property
-    def tip_worst(self) -> float:
-        """Return the largest distance of the tips, m; NaN without set-points."""
-        return float(self.tip_distance.max()) if len(self.tip_distance) else math.nan
-
-    @property
-    def tip_rms(self) -> float:
-        """Return the RMS distance of the tips, m; NaN without set-points."""
-        return float(np.sqrt(np.mean(self.tip_distance**2))) if len(self.tip_distance) else math.nan
-
-    @property
     def criteria(self) -> tuple[Criterion, ...]:
-        """Return the criteria of the verdict: torques of all joints and of each, and distance of the tips."""
+        """Return the criteria of the verdict: torques of all joints and of each."""
         limits = self.tolerances
         torque = self.torque.away_from_reversals if self.assumed_bristles else self.torque
         where = ", away from reversals" if self.assumed_bristles else ""
         criteria: list[Criterion] = []
         if self.fitted is not None:
             where = f" by the files{where}"
-            criteria += torque_criteria(
-                self.names,
-                self.fitted.total_share,
-                self.fitted.rms_share,
-                limits.total,
-                limits.torque,
-            )
-        criteria += torque_criteria(
-            self.names, torque.total_share, torque.rms_share, limits.total, limits.torque, where
-        )
-        if math.isfinite(limits.worst_torque):
-            criteria.append(
-                largest(
-                    "largest torque difference", self.names, torque.worst_share, limits.worst_torque
-                )
-            )
-        if len(self.tip_distance):
-            criteria.append(Criterion("tip worst", self.tip_worst, limits.tip, unit="µm"))
-        return tuple(criteria)
+            criteria += torque_criteria(self.fitted, limits)
+        return (*criteria, *torque_criteria(torque, limits, where))
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -161,8 +100,6 @@ class Validation:
                 remarks.append(f"at reversals, where the assumed c0 and c1 act, {share:.2%}")
         if self.simplest is not None:
             remarks.append(f"Coulomb and viscous friction alone {self.simplest.total_share:.2%}")
-        if len(self.tip_distance):
-            remarks.append(f"tip RMS {self.tip_rms * 1e6:.2f} µm")
         return tuple(remarks)
 
     @property
@@ -209,10 +146,7 @@ def validation_bandwidths(record: JointRecord, chosen: Bandwidths | None) -> Ban
     """Return the bandwidths of an identification, limited by the bag's rate; without one, those of the bag."""
     if chosen is None:
         return Bandwidths.of_motion([record])
-    return chosen.at_most(
-        _MAX_BANDWIDTH_OVER_RATE / record.period,
-        f"{_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate",
-    )
+    return chosen.at_most(_MAX_BANDWIDTH_OVER_RATE / record.period)
 
 
 def written_torque(
@@ -225,31 +159,12 @@ def written_torque(
         arm: the same arm with the links, rotors, springs and offsets of the files.
         elements: one for each of the arm's.
     """
-    along = (
-        drive_torque(arm, elements, (run.position, run.velocity, run.acceleration), 1.0 / run.rate)[
-            :, :, None
-        ]
-        for run in problem.runs
-    )
-    return problem.rows_of(list(along))[:, 0]
-
-
-def drive_torque(
-    arm: RigidArm,
-    elements: Sequence[FrictionElement],
-    motion: tuple[Array, Array, Array],
-    step: float,
-) -> Array:
-    """Return the drive torque at the joints along a motion, friction included, Nm, shape (m, n).
-
-    Args:
-        arm: of n joints.
-        elements: one for each of the arm's; bristles begin undeflected.
-        motion: positions, rad, velocities, rad/s, and accelerations, rad/s^2, each of shape (m, n).
-        step: between the samples, s.
-    """
-    friction = element_torque(elements, motion[1] @ arm.element_matrix.T, step)
-    return np.asarray(arm.torque(*motion) + friction @ arm.element_matrix)
+    along = []
+    for run in problem.runs:
+        friction = element_torque(elements, run.velocity @ arm.element_matrix.T, 1.0 / run.rate)
+        rigid = arm.torque(run.position, run.velocity, run.acceleration)
+        along.append((rigid + friction @ arm.element_matrix)[:, :, None])
+    return problem.rows_of(along)[:, 0]
 
 
 def element_torque(elements: Sequence[FrictionElement], velocity: Array, step: float) -> Array:
@@ -278,46 +193,35 @@ def validate(
     record: JointRecord,
     tolerances: GivenTolerances = NO_TOLERANCES,
     *,
+    assumed_bristles: bool,
     sliding: SlidingFit | None = None,
     bandwidths: Bandwidths | None = None,
 ) -> Validation:
-    """Compare friction with a bag; the tip only for this project's robot, if set-points are in the bag.
+    """Compare friction with a bag.
 
     Args:
         robot: that the bag comes from.
         elements: of its friction.
         record: read from the bag.
-        tolerances: limits for agreement, all or some; by default those for a bag with set-points of this project's
+        tolerances: limits for agreement by name; the others are those for a bag with set-points of this project's
             controller, or those for all others.
+        assumed_bristles: whether c0 and c1 of any element are assumed.
         sliding: fit that the elements come from; None for given elements.
         bandwidths: of the runs that the elements were identified from; by default those of the bag.
     """
     chosen = validation_bandwidths(record, bandwidths)
     runs = filtered_runs(record, robot, chosen)
-    notes = recording_notes([record], chosen) if sliding is None else ()
     problem = ExcitationProblem.without_columns(robot.arm, runs)
     predicted = written_torque(problem, robot.arm, elements)
     if sliding is not None:
         predicted = predicted + _error_of_weights(robot.arm, sliding, problem)
-    tip_time, distance = _tip_difference(robot, elements, record)
-    if not isinstance(tolerances, ValidationTolerances):
-        tolerances = replace(EMULATED if len(distance) else RECORDED, **tolerances)
+    emulated = robot.setup is not None and _is_simulated(record, robot)
+    limits = replace(EMULATED if emulated else RECORDED, **tolerances)
     doubts = record.alarms
     if sliding is None:  # sweeps have been checked already
         doubts += alarms(robot.arm, Recorded.of([record], robot.arm), robot.options, robot.zero)
     (torque,) = run_torques(problem, predicted)
-    names = tuple(name for name in record.names if name not in robot.followed)
-    return Validation(
-        names,
-        torque,
-        tip_time,
-        distance,
-        tolerances,
-        str(record.source),
-        doubts,
-        record.unit,
-        notes,
-    )
+    return Validation(torque, limits, str(record.source), doubts, assumed_bristles)
 
 
 def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationProblem) -> Array:
@@ -336,41 +240,4 @@ def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationPro
     parts = regressor @ (directions * np.sqrt(np.maximum(values, 0.0)))
     deviation = np.sqrt(np.mean(np.sum(parts**2, axis=2), axis=0))
     known = deviation <= _MAX_WEIGHT_SD * np.sqrt(np.mean(recorded**2, axis=0))
-    return np.asarray(
-        np.where(known, regressor @ sliding.inertial, 0.0)[problem.sample, problem.joint]
-    )
-
-
-def _tip_difference(
-    robot: RecordedRobot, lugre: tuple[FrictionElement, ...], record: JointRecord
-) -> tuple[Array, Array]:
-    """Return time and distance between recorded tip and closed loop, run along the recorded set-points.
-
-    They are empty if that cannot be simulated; set-points with gaps are refused.
-    """
-    setup = robot.setup
-    series = (
-        None
-        if setup is None
-        else read_setpoints(record.source, record.names, robot.zero, robot.mapping)
-    )
-    if setup is None or series is None:
-        return np.zeros(0), np.zeros(0)
-    reference, position, velocity = series
-    period_ns = setup.rates.period_ns * setup.rates.ratio
-    gaps = np.flatnonzero(np.diff(reference.stamp_ns) != period_ns)
-    if len(gaps):
-        raise IdentificationError(
-            f"{record.source}: the set-points of {reference.topic} have a gap at {reference.time[gaps[0]]:.3f} s; "
-            f"accepted: one every {period_ns / 1e6:g} ms"
-        )
-    first = int(np.searchsorted(record.time, reference.time[0] - 1e-9))
-    start = np.clip(record.position[first], setup.robot.lower, setup.robot.upper)
-    identified = replace(setup, friction=FrictionSet(setup.friction.names, lugre))
-    slow = run_along(identified, setpoint_rows(position, velocity, setup), start).slow
-    recorded = np.column_stack(
-        [np.interp(reference.time, record.time, joint) for joint in record.position.T]
-    )
-    inside = (reference.time >= record.time[0]) & (reference.time <= record.time[-1])
-    tips = [forward(setup.robot.chain, q).position for q in (slow.joint_states[:, 0], recorded)]
-    return reference.time[inside], np.linalg.norm(tips[0] - tips[1], axis=1)[inside]
+    return np.where(known, regressor @ sliding.inertial, 0.0)[problem.sample, problem.joint]

@@ -10,35 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from operator import attrgetter
-from typing import NamedTuple
 
 import numpy as np
 
 from rx90_common.base.arrays import Array, Mask
+from rx90_emulator.identification.options import ValidationTolerances
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
-
-
-class JointTorque(NamedTuple):
-    """One joint in one run where it moves; filtered, each of shape (k,).
-
-    Attributes:
-        time: s.
-        velocity: rad/s.
-        recorded: Nm.
-        predicted: Nm.
-    """
-
-    time: Array
-    velocity: Array
-    recorded: Array
-    predicted: Array
-
-    @property
-    def residual(self) -> Array:
-        """Return recorded less predicted torque, Nm, shape (k,)."""
-        return self.recorded - self.predicted
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +54,7 @@ class TorquePrediction:
     def rms_share(self) -> Array:
         """Return the RMS difference over the RMS recorded torque, shape (n,): infinite where none was recorded."""
         with np.errstate(divide="ignore"):
-            return np.asarray(self.rms / self._rms(self.recorded))
+            return self.rms / self._rms(self.recorded)
 
     @property
     def worst_share(self) -> Array:
@@ -104,18 +82,17 @@ class RunTorques(TorquePrediction):
     Attributes:
         names: n joints.
         source: the bag.
-        velocity: of the joints, filtered as the torques are, rad/s, shape (m, n).
         reversal: where an element that acts on a joint passes through rest, shape (m, n).
     """
 
     names: tuple[str, ...]
     source: BagSource
-    velocity: Array
     reversal: Mask
 
-    share = property(
-        attrgetter("rms_share"), doc="RMS difference over RMS recorded torque, shape (n,)."
-    )
+    def variation(self, values: Array) -> Array:
+        """Return the squares of values less their mean where each joint moves, in sum, shape (n,)."""
+        moving = [column[there] for column, there in zip(values.T, self.compared.T, strict=True)]
+        return np.array([column.size * np.var(column) if column.size else 0.0 for column in moving])
 
     @property
     def away_from_reversals(self) -> RunTorques:
@@ -126,17 +103,6 @@ class RunTorques(TorquePrediction):
     def at_reversals(self) -> RunTorques:
         """Return the same, compared at reversals alone."""
         return replace(self, compared=self.compared & self.reversal)
-
-    @cached_property
-    def joints(self) -> tuple[JointTorque, ...]:
-        """Return the series of each joint where it moves; empty arrays for one that stands still."""
-        columns = zip(
-            self.compared.T, self.velocity.T, self.recorded.T, self.predicted.T, strict=True
-        )
-        return tuple(
-            JointTorque(self.time[moves], velocity[moves], recorded[moves], predicted[moves])
-            for moves, velocity, recorded, predicted in columns
-        )
 
 
 def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorques, ...]:
@@ -150,7 +116,6 @@ def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorque
     identified = problem.arm.identified
     rows = (problem.sample, problem.joint)
     time = np.concatenate([run.time[run.rows] for run in runs])
-    velocity = np.concatenate([run.parallel(run.velocity) for run in runs])
     recorded = np.concatenate([run.parallel(run.torque) for run in runs])
     expected = recorded.copy()
     expected[rows] = predicted
@@ -163,19 +128,21 @@ def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorque
     )
     bag = np.repeat([str(run.source.path) for run in runs], [len(run.rows) for run in runs])
     sources = {str(run.source.path): run.source for run in runs}
-    return tuple(
-        RunTorques(
-            time=time[bag == path],
-            velocity=velocity[bag == path][:, identified],
-            recorded=recorded[bag == path][:, identified],
-            predicted=expected[bag == path][:, identified],
-            compared=compared[bag == path][:, identified],
-            reversal=reversal[bag == path][:, identified],
-            names=names,
-            source=source,
+    torques = []
+    for path, source in sources.items():
+        place = np.ix_(bag == path, identified)
+        torques.append(
+            RunTorques(
+                time=time[bag == path],
+                recorded=recorded[place],
+                predicted=expected[place],
+                compared=compared[place],
+                reversal=reversal[place],
+                names=names,
+                source=source,
+            )
         )
-        for path, source in sources.items()
-    )
+    return tuple(torques)
 
 
 @dataclass(frozen=True)
@@ -187,7 +154,7 @@ class Criterion:
         value: its largest value, NaN if it is not compared.
         limit: up to which it agrees.
         joint: joint with the value; "" for a quantity of the whole arm.
-        unit: of the text: %, mrad or µm.
+        unit: of the text: % or mrad.
         digits: after the decimal point.
     """
 
@@ -206,11 +173,7 @@ class Criterion:
     @property
     def parts(self) -> tuple[str, str, str]:
         """Return quantity, value, and joint with limit: "torque RMS", "0.13%" and "(joint_6, limit 5%)"."""
-        scale, unit, after = {
-            "%": (1e2, "%", "%"),
-            "mrad": (1e3, " mrad", ""),
-            "µm": (1e6, " µm", ""),
-        }[self.unit]
+        scale, unit, after = {"%": (1e2, "%", "%"), "mrad": (1e3, " mrad", "")}[self.unit]
         whose = f"{self.joint}, " if self.joint else ""
         figure = f"{scale * self.value:.{self.digits}f}{unit}"
         return self.quantity, figure, f"({whose}limit {scale * self.limit:g}{after})"
@@ -235,25 +198,18 @@ def largest(
 
 
 def torque_criteria(
-    names: Sequence[str],
-    total: float,
-    share: Array,
-    most: float,
-    most_of_joint: float,
-    by: str = "",
+    torque: RunTorques, limits: ValidationTolerances, by: str = ""
 ) -> tuple[Criterion, Criterion]:
     """Return the criteria of every verdict on torques: RMS difference over RMS torque of all joints, and of each.
 
     Args:
-        names: n joints.
-        total: of all joints.
-        share: of each, NaN if it is not compared, shape (n,).
-        most: limit for all joints.
-        most_of_joint: limit for a single one.
+        torque: recorded and predicted.
+        limits: for agreement.
         by: suffix of the quantity, such as " by the files".
     """
-    all_joints = Criterion(f"torque RMS of all joints{by}", total, most)
-    return all_joints, largest(f"torque RMS of a joint{by}", names, share, most_of_joint)
+    all_joints = Criterion(f"torque RMS of all joints{by}", torque.total_share, limits.total)
+    joint = largest(f"torque RMS of a joint{by}", torque.names, torque.rms_share, limits.torque)
+    return all_joints, joint
 
 
 def verdict(source: object, words: tuple[str, str], *parts: Criterion | str) -> str:

@@ -146,7 +146,7 @@ def test_the_engine_writes_the_bags_that_the_recorder_would(series: Path) -> Non
 
 
 def test_the_runs_of_one_joint_tell_that_joint_alone(
-    series: Path, identified: tuple[Path, str], shipped: Setup, check_report: Callable[[Path], None]
+    identified: tuple[Path, str], shipped: Setup, check_report: Callable[[Path], None]
 ) -> None:
     """From bags of joint 3 come a file that the simulation loads, with its values alone, a report and a verdict."""
     output, said = identified
@@ -163,14 +163,11 @@ def test_the_runs_of_one_joint_tell_that_joint_alone(
     told = {name for name, one in parameters.items() if any("interval" in each for each in one.values())}
     assert told == {"joint_3"}
     assert parameters["joint_4"]["c2"]["provenance"] == "assumed"
-    true = yaml.safe_load((series / "emulated_friction.yaml").read_text(encoding="utf-8"))["elements"]["joint_3"]
     for name in ("c0", "c1"):
         low, high = parameters["joint_3"][name]["interval"]
-        assert low < true[name] < high
+        assert low < truth.parameters[name] < high
     page = output.with_suffix(".html").read_text(encoding="utf-8")
     assert re.findall(r'class="fact *([a-z]*)"><b>confirmed', page) == [""]  # not green beside assumed values
-    for value in ("18", "23", "0.05", "1", "7", "70000", "60"):
-        assert f"true {value}<" in page
     check_report(output.with_suffix(".html"))
 
 

@@ -133,20 +133,3 @@ def test_a_coupled_wrist(tmp_path: Path, capsys: pytest.CaptureFixture[str], sid
     found = identified(["sliding", tmp_path / "bag", *options], tmp_path / "f.yaml", capsys)
     for name, curve in zip(elements, curves, strict=True):
         assert_found(found[name], curve)
-
-
-def test_sweeps_are_fitted_by_the_model_that_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Of coulomb-viscous friction tau_s is tau_c, though the fallback has a rise; the file says why."""
-    urdf = write_urdf(tmp_path, ["hinge"], ["0 1 0"], [2.0])
-    model, curve = pin.buildModelFromXML(urdf.read_text(encoding="utf-8")), Curve(3.0, 3.0, 3.0, 3.0, 0.1, 1.0, 1.5)
-    motion = Program([[1.0]], [[0.3]], SPEEDS, 100.0).motion()
-    torque = measured(drive_torque(model, np.eye(1), [curve], motion, 100.0), 1)
-    write(tmp_path / "sweeps", "/joint_states", ["hinge"], 100.0, (*motion, torque))
-    robot = ["--urdf", urdf, "--fallback", write_fallback(tmp_path / "g.yaml", ["hinge"])]
-    words = ["sliding", tmp_path / "sweeps", *robot, "--model", "coulomb-viscous"]
-    found = identified(words, tmp_path / "f.yaml", capsys)["hinge"]
-    assert abs(found["tau_c_positive"]["value"] / 3.0 - 1.0) < 0.02
-    assert abs(found["c2"]["value"] / 1.5 - 1.0) < 0.03
-    rise = found["tau_s_positive"]
-    assert (rise["value"], rise["identifiable"]) == (found["tau_c_positive"]["value"], False)
-    assert (rise["reason"], rise["taken_from"]) == ("the model that was asked for does not have it", None)

@@ -28,8 +28,9 @@ from rx90_emulator.identification.identify import check_friction
 from rx90_emulator.identification.options import RobotOptions, ValidationTolerances
 from rx90_emulator.identification.output.report import check_page
 from rx90_emulator.identification.output.summary import check_summary
+from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.validation.prediction import Validation
-from rx90_emulator.identification.validation.verdict import TorquePrediction
+from rx90_emulator.identification.validation.verdict import RunTorques
 
 pytestmark = pytest.mark.slow
 
@@ -148,8 +149,8 @@ def test_the_difference_is_that_of_the_friction(hinge: Hinge, tmp_path: Path) ->
     (check,) = rx.check_friction(half, [hinge.bag], rx.RobotOptions(urdf=hinge.urdf))
     moves = np.abs(hinge.velocity[:, 0]) > 0.015
     expected = np.sqrt(np.mean((0.5 * CURVE(hinge.velocity[moves])) ** 2))
-    assert check.rms[0] == pytest.approx(expected, rel=0.05)
-    assert check.rms_share[0] == pytest.approx(expected / np.sqrt(np.mean(hinge.torque[moves] ** 2)), rel=0.05)
+    assert check.torque.rms[0] == pytest.approx(expected, rel=0.05)
+    assert check.torque.rms_share[0] == pytest.approx(expected / np.sqrt(np.mean(hinge.torque[moves] ** 2)), rel=0.05)
     assert not check.passed
 
 
@@ -206,9 +207,9 @@ def validation(error: float) -> Validation:
     recorded = np.stack([3.0 + np.cos(time), np.full(101, 2.0)], axis=1)
     predicted = recorded * [1.0 + error, 5.0]
     moves = np.stack([time >= 0.0, time < 0.0], axis=1)
-    torque = TorquePrediction(time, recorded, predicted, moves)
-    nothing = np.zeros(0)
-    return Validation(("joint_1", "joint_2"), torque, nothing, nothing, ValidationTolerances(), "bag")
+    source = BagSource(Path("bag"), "0" * 64, 1.0)
+    torque = RunTorques(time, recorded, predicted, moves, ("joint_1", "joint_2"), source, np.zeros_like(moves))
+    return Validation(torque, ValidationTolerances(), "bag")
 
 
 @pytest.mark.parametrize(("error", "confirmed"), [(0.04, True), (0.06, False)])
@@ -216,11 +217,11 @@ def test_a_joint_at_rest_does_not_decide(error: float, confirmed: bool) -> None:
     """What a joint gives at rest is not compared; the verdict is on the joints that move, here 5 % of the torque."""
     check = validation(error)
     assert check.passed is confirmed
-    assert check.rms_share[0] == pytest.approx(error, rel=1e-12)
-    assert np.isnan([check.rms[1], check.rms_share[1], check.worst[1], check.worst_share[1]]).all()
+    assert check.torque.rms_share[0] == pytest.approx(error, rel=1e-12)
+    assert np.isnan([check.torque.rms[1], check.torque.rms_share[1]]).all()
     assert f"{100.0 * error:.2f}" in check_page([check], "friction.yaml")
     row = next(line for line in check_summary([check]).splitlines() if line.startswith("joint_2"))
-    assert row.split() == ["joint_2", "-", "-", "-", "-"]
+    assert row.split() == ["joint_2", "-", "-"]
 
 
 def test_without_a_file_bristles_are_assumed(hinge: Hinge, tmp_path: Path) -> None:

@@ -19,11 +19,11 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.estimates import SLIDING, ElementEstimate
+from rx90_emulator.identification.estimates import SLIDING, Estimates
 from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, directions, make_plan, poses_of
 from rx90_emulator.identification.identify import identify_records
-from rx90_emulator.identification.output.friction_file import friction_text
-from rx90_emulator.identification.output.summary import fit_text, identification_summary
+from rx90_emulator.identification.output.friction_file import sweeps_text
+from rx90_emulator.identification.output.summary import identification_summary
 from rx90_emulator.identification.records import BagSource, JointRecord
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.rows.sweeps import find_blocks
@@ -34,9 +34,9 @@ from rx90_emulator.loop.setup import Setup
 pytestmark = pytest.mark.slow
 
 
-def errors(estimate: ElementEstimate, element: FrictionElement) -> dict[str, float]:
+def errors(estimate: Estimates, element: FrictionElement) -> dict[str, float]:
     """Return relative errors by parameter."""
-    return {name: abs(found.value / element.parameters[name] - 1.0) for name, found in estimate.parameters.items()}
+    return {name: abs(found.value / element.parameters[name] - 1.0) for name, found in estimate.items()}
 
 
 def test_wrist_joints_moved_one_at_a_time_do_not_identify_element_seven(sweeps: Any, arm: RigidArm) -> None:
@@ -44,7 +44,7 @@ def test_wrist_joints_moved_one_at_a_time_do_not_identify_element_seven(sweeps: 
     record, _ = sweeps([4], 1)
     fit = identify_sliding([record], arm)
     for e in (4, 6):
-        coulomb = fit.estimates[e].parameters["tau_c_positive"]
+        coulomb = fit.estimates[e]["tau_c_positive"]
         assert math.isnan(coulomb.value)
         assert "not separable from" in coulomb.reason
 
@@ -56,7 +56,7 @@ def test_a_coulomb_difference_of_element_seven_moves_to_joints_five_and_six(
     seventh = shipped.friction.elements[6].replaced(tau_c={"positive": 1.6, "negative": 1.4})
     friction = FrictionSet(shipped.friction.names, (*shipped.friction.elements[:6], seventh))
     record, _ = sweeps([4, 5], 1, Noise(0.0), friction=friction)
-    found = [fit.parameters for fit in identify_sliding([record], arm).estimates[4:]]
+    found = identify_sliding([record], arm).estimates[4:]
     assert found[2]["tau_c_positive"].value == pytest.approx(1.5, rel=2e-3)
     assert found[2]["tau_c_negative"].value == pytest.approx(1.5, rel=2e-3)
     assert found[0]["tau_c_positive"].value == pytest.approx(4.1, rel=2e-3)
@@ -70,7 +70,7 @@ def test_an_unknown_payload_of_one_kilogram_does_not_move_tau_c(sweeps: Any, arm
     for joint in (1, 2):
         assert np.abs(loaded.torque - without.torque)[:, joint].max() > 5.0  # Nm: it would show
         for name in ("tau_c_positive", "tau_c_negative"):
-            values = [fit.estimates[joint].parameters[name].value for fit in (full, bare)]
+            values = [fit.estimates[joint][name].value for fit in (full, bare)]
             assert values[0] == pytest.approx(values[1], rel=0.02)
     rows = np.flatnonzero(np.abs(loaded.velocity[:, 1]) > 0.1)[50::500]
     q, v = loaded.position[rows], loaded.velocity[rows]
@@ -104,7 +104,7 @@ def test_intervals_cover_the_truth(sweeps: Any, arm: RigidArm) -> None:
         record, friction = sweeps([0, 1, 2, 3], 100 + seed, Noise(common=1e-3), longest=1.2)
         estimates = identify_sliding([record], arm).estimates
         for joint in range(4):
-            for name, found in estimates[joint].parameters.items():
+            for name, found in estimates[joint].items():
                 if not found.identifiable:
                     continue
                 low, high = found.bounds
@@ -156,7 +156,7 @@ def test_no_stribeck_effect_is_reported_as_such(sweeps: Any, arm: RigidArm, ship
     plain = shipped.friction.elements[2].replaced(tau_s=18.0)
     elements = (*shipped.friction.elements[:2], plain, *shipped.friction.elements[3:])
     record, _ = sweeps([2], 9, friction=FrictionSet(shipped.friction.names, elements))
-    found = identify_sliding([record], arm).estimates[2].parameters
+    found = identify_sliding([record], arm).estimates[2]
     for name in ("tau_s_positive", "tau_s_negative", "omega_s", "delta"):
         assert not found[name].identifiable
         assert "no Stribeck effect" in found[name].reason
@@ -184,7 +184,7 @@ def test_a_viscous_exponent_is_found_where_there_is_one(
     assert abs(found["c2"].value / base.c2 - 1.0) < 0.05
     assert found["omega_s"].identifiable == rises
     file = tmp_path / "friction.yaml"
-    file.write_text(friction_text(result), encoding="utf-8")
+    file.write_text(sweeps_text(result), encoding="utf-8")
     read = FrictionFile.read(file)
     assert [element.alpha != 1.0 for element in read.elements.entries.values()] == [e == joint for e in range(7)]
     assert read.elements[f"joint_{joint + 1}"].alpha == pytest.approx(found["alpha"].value, rel=1e-5)
@@ -232,13 +232,13 @@ def test_the_wrists_friction_comes_back_from_the_engine(shipped: Setup, arm: Rig
     groups = tuple(name for name in names if {"5", "6"} & set(name))
     fit = identify_sliding(on_the_engine(shipped, PlanOptions(speeds=9, travel=0.2, poses=few, groups=groups)), arm)
     for e in (4, 5, 6):
-        for name, found in fit.estimates[e].parameters.items():
+        for name, found in fit.estimates[e].items():
             truth = shipped.friction.elements[e].parameters[name]
             if count == 1:
                 assert abs(found.value / truth - 1.0) < 0.025, (e, name)
             elif found.identifiable:
                 assert abs(found.value - truth) < 3.0 * found.deviation, (e, name)
-    assert not fit.estimates[0].parameters["c2"].identifiable
+    assert not fit.estimates[0]["c2"].identifiable
 
 
 Array = NDArray[np.float64]
@@ -299,10 +299,8 @@ def test_slow_sweeps_at_67_hz_are_used(hinge: RigidArm) -> None:
     records = series(np.random.default_rng(3), ripple=0.3)
     fit = identify_sliding(records, hinge)
     for one, use in zip(records, fit.usage, strict=True):
-        speed = abs(float(str(one.source)))
-        assert use.stretches >= 1, (one.source, use.text(("hinge",)))
-        assert use.speeds[0, 0] == pytest.approx(speed, rel=0.25)
-    found = fit.estimates[0].parameters
+        assert use.stretches >= 1, (one.source, use.text)
+    found = fit.estimates[0]
     for name, truth in (("tau_c_positive", 5.0), ("tau_c_negative", 5.0), ("c2", 2.0)):
         assert abs(found[name].value - truth) < max(0.03 * truth, 3.0 * found[name].deviation), name
 
@@ -314,16 +312,13 @@ def humped(velocity: Array) -> Array:
 
 
 def test_a_misfit_shows(hinge: RigidArm) -> None:
-    """A curve of the model's form leaves the samples' noise; one of another form leaves more."""
+    """A curve of another form than the model's leaves more."""
     straight_fit, humped_fit = (
         identify_sliding(series(np.random.default_rng(5), friction), hinge).curves[0] for friction in (straight, humped)
     )
     assert straight_fit is not None
     assert humped_fit is not None
-    assert 0.3 < straight_fit.chi2 < 3.0
-    assert humped_fit.chi2 > 10.0
     assert humped_fit.share > 3.0 * straight_fit.share
-    assert f"chi2 {humped_fit.chi2:.3g}" in fit_text(humped_fit)
 
 
 def test_a_bag_was_recorded_when_its_stamps_say() -> None:
