@@ -209,7 +209,7 @@ class Projected:
         """Return the best linear parameters."""
         value, _ = self._weighted(x)
         size = _lengths(self._columns)
-        return np.asarray(np.linalg.lstsq(self._columns / size, value, rcond=RANK)[0] / size)
+        return np.linalg.lstsq(self._columns / size, value, rcond=RANK)[0] / size
 
     def best_start(self, starts: Iterable[Array], moved: Mask) -> Array:
         """Return the start from which one linear step of some parameters leaves the least squares, step included.
@@ -295,7 +295,7 @@ def _fitted(problem: Problem, start: Array, weight: Array) -> Fit:
             xtol=TOLERANCE,
             max_nfev=MOST_EVALUATIONS,
         )
-        x = np.asarray(result.x)
+        x = result.x
     linear = projected.linear(x)
     torque, slopes = problem.model(x)
     residual = problem.target - torque - problem.linear @ linear
@@ -329,4 +329,4 @@ def _at_bound(problem: Problem, x: Array, residual: Array, jacobian: Array) -> M
         np.linalg.lstsq(jacobian[:, free] / size[free], -residual, rcond=SQUARED_RANK)[0]
         / size[free]
     )
-    return np.asarray(near | (x + step < problem.lower) | (x + step > problem.upper))
+    return near | (x + step < problem.lower) | (x + step > problem.upper)

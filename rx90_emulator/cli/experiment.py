@@ -119,8 +119,6 @@ def _add_sliding_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--group", action="append", default=[], metavar="NAME",
                         help="only this group (joint_3, joints_5_6_against ...); may be repeated")  # fmt: skip
     _add_quick(parser, "fewer speeds, one pose, one micro-oscillation")
-    parser.add_argument("--speeds", type=whole_number, metavar="N",
-                        help="speeds in each direction (28); the more, the smaller the deviations")  # fmt: skip
     add_robot_arguments(parser, *MODEL_FILES, "poses")
 
 
@@ -215,7 +213,7 @@ def _described(
     if options.excitation or setup is None:
         plan, remarks = series.plan_with_progress(arm, _excitation_options(options))
     else:
-        plan = plan_experiments(setup, options.group, quick=options.quick, speeds=options.speeds)
+        plan = plan_experiments(setup, options.group, quick=options.quick)
     print(series.describe(plan, arm, remarks), flush=True)
     return plan
 

@@ -6,7 +6,6 @@ import argparse
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
-from functools import partial
 
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_common.process.threads import be_nicer

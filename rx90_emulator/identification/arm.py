@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -197,9 +197,7 @@ class RigidArm:
 
     def speeds(self) -> Array:
         """Return the joints' greatest speeds by the URDF, rad/s, shape (n,); 0 where it has none."""
-        return np.asarray(
-            np.where(np.isfinite(self.model.velocityLimit), self.model.velocityLimit, 0.0)
-        )
+        return np.where(np.isfinite(self.model.velocityLimit), self.model.velocityLimit, 0.0)
 
     def inertial_scale(self) -> Array:
         """Return how large errors of the inertial parameters can be at most, shape (10 n,), SI units.
@@ -224,8 +222,7 @@ def _checked(name: str, given: ArrayLike | None, usual: Array) -> Array:
     return value
 
 
-@dataclass(frozen=True, eq=False)
-class JointGroup:
+class JointGroup(NamedTuple):
     """Joints that share friction elements with each other and with no other joint.
 
     Attributes:

@@ -28,6 +28,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -303,8 +304,7 @@ _TOOL = "tool"  # the link that a tool file adds: its inertial is known
 _ABOVE = np.triu_indices(4, 1)
 
 
-@dataclass(frozen=True, eq=False)
-class BaseEstimate:
+class BaseEstimate(NamedTuple):
     """Identified base parameters.
 
     Attributes:
@@ -339,8 +339,7 @@ class BaseEstimate:
         return cls(problem.base.combination, fitted.fit.linear, root, known)
 
 
-@dataclass(frozen=True, eq=False)
-class ConsistentInertias:
+class ConsistentInertias(NamedTuple):
     """Possible bodies and rotors near the identified values.
 
     Attributes:
@@ -392,7 +391,7 @@ class _Bodies:
     def pseudo(self, numbers: Array) -> Array:
         """Return the bodies, shape (b, 4, 4)."""
         factors = self._factors @ self._relative(numbers)
-        return np.asarray(factors @ np.swapaxes(factors, 1, 2))
+        return factors @ np.swapaxes(factors, 1, 2)
 
     def behind(self, numbers: Array) -> Array:
         """Return rotors, springs and others, shape (P - 10 n,)."""
@@ -496,8 +495,7 @@ def consistent_inertias(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Consistency:
+class Consistency(NamedTuple):
     """Possible inertias, and their cost.
 
     Attributes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -139,8 +139,7 @@ def unknown_estimates(names: Sequence[str], reason: str) -> Estimates:
     return dict.fromkeys(names, ParameterEstimate.unknown(reason))
 
 
-@dataclass(frozen=True, eq=False)
-class FittedLaw:
+class FittedLaw(NamedTuple):
     """The fitted law of one element.
 
     Attributes:

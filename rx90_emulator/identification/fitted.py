@@ -103,7 +103,7 @@ class FittedArm:
     def predicted(self, problem: ExcitationProblem) -> Array:
         """Return the torque of the rows of runs of the same arm, Nm, shape (r,)."""
         friction = problem.friction_rows().problem(self.laws).model(self.fit.x)[0]
-        return np.asarray(friction + problem.regressor @ self.fit.linear)
+        return friction + problem.regressor @ self.fit.linear
 
     def element(self, number: int) -> FittedLaw:
         """Return the fitted law of an element."""

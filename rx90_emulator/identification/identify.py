@@ -92,12 +92,14 @@ def identify_friction(
     records = read_records(by_use, source, progress)
     result = identify_records(records["sliding"], records["presliding"], source, progress)
     checks = []
+    assumed = result.assumed_bristles
+    elements = result.friction.elements
     for record in records["validation"]:
         progress(record.source.name)
         check = validate(
-            source, result.friction.elements, record, tolerances, sliding=result.sliding
+            source, elements, record, tolerances, assumed_bristles=assumed, sliding=result.sliding
         )
-        checks.append(replace(check, assumed_bristles=result.assumed_bristles))
+        checks.append(check)
     used = tuple((use, record.bag) for use, some in records.items() for record in some)
     alarms = (*log_alarms(records), *result.alarms)
     return replace(result, bags=used, validations=tuple(checks), alarms=alarms)
@@ -142,11 +144,14 @@ def check_friction(
     source = replace(source, arm=arm)
     records = read_records(by_use, source, progress)["validation"]
     bandwidths = _bandwidths(file, where)
+    assumed = _bristles_assumed(file)
     checks = []
     for record in records:
         progress(record.source.name)
-        check = validate(source, elements, record, tolerances, bandwidths=bandwidths)
-        checks.append(replace(check, assumed_bristles=_bristles_assumed(file)))
+        check = validate(
+            source, elements, record, tolerances, assumed_bristles=assumed, bandwidths=bandwidths
+        )
+        checks.append(check)
     return tuple(checks)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,8 +44,7 @@ _MAX_INERTIA_SD = 2.0  # prior deviations of an error of the mass matrix
 _REACTIONS = "its joints were moved by the reactions of others alone; accepted: micro-oscillations of their own"
 
 
-@dataclass(frozen=True, eq=False)
-class PreslidingFit:
+class PreslidingFit(NamedTuple):
     """The presliding regime of all elements.
 
     Attributes:

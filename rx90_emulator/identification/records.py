@@ -353,7 +353,7 @@ def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:
     if len(rows) == 0:
         raise IdentificationError(f"{where} carries no message with finite numbers alone")
     spoilt = spikes(series.fields["position"][rows]) | spikes(series.fields["effort"][rows])
-    return np.asarray(rows[~spoilt])
+    return rows[~spoilt]
 
 
 # of an encoder between samples, above which it moves too fast to repeat a position

@@ -194,10 +194,10 @@ class _SimplestModel:
     def residual(self, torque: Array) -> Array:
         """Return what a fit leaves of a torque, (m, n), in usual torques of the joints, shape (r,)."""
         left = self._beside(torque[self._used] * self._weight)
-        return np.asarray(left - self._dry @ nnls(self._dry, left)[0])
+        return left - self._dry @ nnls(self._dry, left)[0]
 
     def _beside(self, values: Array) -> Array:
-        return np.asarray(values - self._basis @ (self._basis.T @ values))
+        return values - self._basis @ (self._basis.T @ values)
 
 
 # what an undone mistake must explain: standard errors over blocks, and squared error as a share of what remains
@@ -303,7 +303,7 @@ class _Trials:
     def _errors(self, residual: Array) -> Array:
         """Return the RMS of the residual of each row's joint, shape (r,)."""
         squares = np.bincount(self._joint, residual**2) / np.maximum(np.bincount(self._joint), 1)
-        return np.asarray(np.sqrt(squares)[self._joint] + 1e-9)
+        return np.sqrt(squares)[self._joint] + 1e-9
 
 
 def find_mistakes(
@@ -455,15 +455,9 @@ class MovedBodies(NamedTuple):
 
 def moved_bodies(described: RigidArm, result: RigidArm) -> tuple[MovedBodies, ...]:
     """Return what each joint moves by the description and by the result."""
-    before = _moved(described)
-    after = _moved(result)
-    moved = []
-    for joint, name in enumerate(described.names):
-        mass, moment, inertia = zip(
-            before[:, joint].tolist(), after[:, joint].tolist(), strict=True
-        )
-        moved.append(MovedBodies(name, mass, moment, inertia))
-    return tuple(moved)
+    joints = np.stack([_moved(described), _moved(result)]).transpose(2, 1, 0)
+    named = zip(described.names, joints.tolist(), strict=True)
+    return tuple(MovedBodies(name, *map(tuple, pairs)) for name, pairs in named)
 
 
 def _moved(arm: RigidArm) -> Array:

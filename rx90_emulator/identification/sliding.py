@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,8 +44,7 @@ _LINE_POINTS = 100
 _DOES_NOT_SLIDE = "does not slide at constant velocity; accepted: sweeps in both directions"
 
 
-@dataclass(frozen=True, eq=False)
-class SlidingFit:
+class SlidingFit(NamedTuple):
     """The sliding regime of all elements.
 
     Attributes:
@@ -54,7 +54,6 @@ class SlidingFit:
         inertial: estimated error of the arm's inertial parameters, to be added to them, shape (10 n,):
             rigid torque = arm.torque(...) + arm.regressor(...) @ inertial.
         inertial_covariance: its covariance, the prior's along directions that sweeps do not observe, (10 n, 10 n).
-        plateaus: number of stretches of constant velocity that were used.
         usage: what was used of each record, and why the rest was not.
         alarms: which unit, sign, zero, column or delay looks wrong, a sentence each.
         scales: by joint, how many times the torque that the described bodies need was recorded, as in `torque_scales`.
@@ -64,10 +63,9 @@ class SlidingFit:
     curves: tuple[FrictionCurve | None, ...]
     inertial: Array
     inertial_covariance: Array
-    plateaus: int
-    usage: tuple[BagUse, ...] = ()
-    alarms: tuple[str, ...] = ()
-    scales: Mapping[str, float] = field(default_factory=dict)
+    usage: tuple[BagUse, ...]
+    alarms: tuple[str, ...]
+    scales: Mapping[str, float]
 
 
 def identify_sliding(
@@ -143,13 +141,11 @@ def identify_sliding(
     scale = arm.inertial_scale()
     first = len(result.x)
     covariance = spread.covariance[first:, first:] * np.outer(scale, scale)
-    count = len(np.unique(rows.plateau))
     return SlidingFit(
         tuple(estimates),
         tuple(curves),
         scale * result.linear,
         covariance,
-        count,
         usage,
         doubts,
         scales,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 

@@ -122,7 +122,7 @@ class ExcitationSearch:
         columns = np.concatenate(
             [self._columns.torque(*motion)[:, :, self._leading], *friction], axis=2
         )
-        return np.asarray(columns / self.arm.robot.max_effort[:, None])
+        return columns / self.arm.robot.max_effort[:, None]
 
     def best(self, rng: np.random.Generator, step: Callable[[], object]) -> Array:
         """Return the coefficients of the best motion found; `step` is called after each of the search's steps."""

@@ -73,10 +73,6 @@ def poses_of(setup: Setup) -> Poses:
     return poses
 
 
-_MIN_SPEEDS = 5  # with fewer the Stribeck curve is not determined
-_MAX_SPEEDS = 1000  # two hours for each group
-
-
 @dataclass(frozen=True)
 class PlanOptions:
     """The options of a plan.
@@ -101,12 +97,6 @@ class PlanOptions:
     tone_amplitudes: tuple[float, ...] = (2.4e-4, 1.2e-4, 5e-5, 1.6e-5, 6e-6)
     burst: float = 8.0
 
-    def __post_init__(self) -> None:
-        if not _MIN_SPEEDS <= self.speeds <= _MAX_SPEEDS:
-            raise IdentificationError(
-                f"{self.speeds} speeds; accepted: {_MIN_SPEEDS} to {_MAX_SPEEDS}"
-            )
-
 
 _QUICK: Mapping[str, Any] = MappingProxyType(
     {
@@ -120,7 +110,7 @@ _QUICK: Mapping[str, Any] = MappingProxyType(
 
 
 def plan_experiments(
-    setup: Setup, groups: Sequence[str] = (), *, quick: bool = False, speeds: int | None = None
+    setup: Setup, groups: Sequence[str] = (), *, quick: bool = False
 ) -> tuple[Experiment, ...]:
     """Return the experiments for an arm.
 
@@ -128,18 +118,15 @@ def plan_experiments(
         setup: robot and drives, read from files; one of the files contains the poses.
         groups: names of directions; all of them if empty.
         quick: whether fewer speeds, one pose and one micro-oscillation suffice.
-        speeds: in each direction; None for the default number.
 
     Raises:
-        IdentificationError: for an unknown group or a number of speeds that is not acceptable.
+        IdentificationError: for an unknown group.
         ConfigError: if the robot has no poses.
     """
     poses = poses_of(setup)
     options = dict(_QUICK) if quick else {}
     if quick:
         poses = poses.replaced(sweeps={"positions": poses.sweeps.positions[:1]})
-    if speeds is not None:
-        options["speeds"] = speeds
     return make_plan(
         setup.robot, setup.drives, PlanOptions(poses=poses, groups=tuple(groups), **options)
     )

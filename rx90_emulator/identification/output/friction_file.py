@@ -35,14 +35,10 @@ _NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have
 def sweeps_text(result: FrictionIdentification) -> str:
     """Return the text of the file of an identification from sweeps; errors as in `friction_text`."""
     speeds = {}
-    fit = {}
     for name, curve in result.curves.items():
         size = np.abs(curve.velocity)
         speeds[name] = [digits(float(size.min()), 3), digits(float(size.max()), 3)]
-        fit[name] = {"rms": digits(curve.rms, 4), "share": digits(curve.share, 4)}
-    used = {use.bag.path.name: use.text for use in result.sliding.usage}
-    about = {"speeds": speeds, "sweeps": used, "fit": fit}
-    return friction_text(result, result.arm.element_names, about)
+    return friction_text(result, result.arm.element_names, {"speeds": speeds})
 
 
 def friction_text(
@@ -116,6 +112,7 @@ def _provenance(
                 "interval": interval,
             }
         other = "sliding" if name in PRESLIDING else "presliding"
-        bags = [label for label, use in labels.items() if use != other]
+        known = name in identified.estimates
+        bags = [label for label, use in labels.items() if known and use != other]
         parameters[name] = content | {"bags": bags, "date": date}
     return parameters

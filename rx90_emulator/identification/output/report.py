@@ -59,9 +59,6 @@ def identification_page(result: Identification, files: Sequence[str]) -> str:
     """
     names = result.arm.element_names
     rows = summary.friction_rows(names, result.elements)
-    fitted = []
-    if isinstance(result, ExcitationIdentification) and not result.validations:
-        fitted = [max(result.torques, key=lambda run: run.source.duration)]
     return _render(
         "identification.html.j2",
         result.date,
@@ -73,6 +70,5 @@ def identification_page(result: Identification, files: Sequence[str]) -> str:
         columns=summary.friction_columns(rows),
         lacking=summary.lacking(names, result.elements),
         checks=_checks(result.validations),
-        fitted=[(run, plots.torques(run, run.names)) for run in fitted],
         curves=[plots.friction_curve(name, curve) for name, curve in result.curves.items()],
     )

@@ -242,7 +242,7 @@ def _folder_texts(
         fastest = np.max(
             [np.abs(run.acceleration).max(axis=0) for run in result.problem.runs], axis=0
         )
-        rotors = np.asarray(result.consistency.inertias.rotors)
+        rotors = result.consistency.inertias.rotors
         drives, controller = assumed_files(
             base.robot, pin.buildModelFromXML(urdf), base.turning, rotors, new, fastest
         )

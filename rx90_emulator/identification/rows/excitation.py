@@ -168,9 +168,7 @@ class ExcitationProblem:
     @cached_property
     def sample(self) -> Index:
         """Return each row's index among the filtered samples of all runs, one run after the other, shape (r,)."""
-        return np.asarray(
-            np.cumsum([0, *(len(run.rows) for run in self.runs)])[self.run] + self.place
-        )
+        return np.cumsum([0, *(len(run.rows) for run in self.runs)])[self.run] + self.place
 
     @cached_property
     def time(self) -> Array:

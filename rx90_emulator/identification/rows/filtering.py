@@ -283,9 +283,9 @@ def _filtered(
         source=record.bag,
         names=record.names,
         time=even[inner],
-        position=np.asarray(smooth[inner]),
-        velocity=np.asarray(curve(count[inner], 1)),
-        acceleration=np.asarray(curve(count[inner], 2)),
+        position=smooth[inner],
+        velocity=curve(count[inner], 1),
+        acceleration=curve(count[inner], 2),
         torque=_resampled(time - torque_lead, record.torque[piece], even, 1)[inner],
         bandwidths=bandwidths,
     )
@@ -350,7 +350,7 @@ def _resampled(time: Array, values: Array, even: Array, degree: int) -> Array:
     tolerance = _STAMP_TOLERANCE * (even[1] - even[0]) + 2.0 * float(np.spacing(np.abs(time[-1])))
     if len(time) == len(even) and float(np.abs(time - even).max()) < tolerance:
         return values
-    return np.asarray(make_interp_spline(time, values, k=degree)(even))
+    return make_interp_spline(time, values, k=degree)(even)
 
 
 def low_pass_taps(rate: float, bandwidth: float) -> Array:
@@ -361,7 +361,7 @@ def low_pass_taps(rate: float, bandwidth: float) -> Array:
         bandwidth: Hz.
     """
     count, beta = _kaiser(rate, bandwidth)
-    return np.asarray(firwin(count, 1.5 * bandwidth, window=("kaiser", beta), fs=rate))
+    return firwin(count, 1.5 * bandwidth, window=("kaiser", beta), fs=rate)
 
 
 def _kaiser(rate: float, bandwidth: float) -> tuple[int, float]:
@@ -386,4 +386,4 @@ def low_pass(values: Array, taps: Array, down: int = 1) -> Array:
     filtered = upfirdn(taps, np.pad(columns, ((0, 0), (before, 0))), 1, down)[
         :, first : first + count
     ]
-    return np.asarray(filtered.T.reshape(count, *values.shape[1:]))
+    return filtered.T.reshape(count, *values.shape[1:])

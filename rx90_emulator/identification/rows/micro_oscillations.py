@@ -398,4 +398,4 @@ def _active(position: Array, step: float) -> Mask:
     slow = sosfiltfilt(butter(2, _DETECTION_HZ[0], fs=rate, output="sos"), centred, axis=0)
     drift = uniform_filter1d((slow - uniform_filter1d(slow, span, axis=0)) ** 2, span, axis=0)
     quiet = (excursion < _MAX_EXCURSION).all(axis=1, keepdims=True)
-    return np.asarray(quiet & (power > _MIN_OSCILLATION**2) & (power > drift))
+    return quiet & (power > _MIN_OSCILLATION**2) & (power > drift)

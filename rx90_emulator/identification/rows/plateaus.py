@@ -8,7 +8,7 @@ out as a whole.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -43,8 +43,7 @@ _BLOCK_TRAVEL = 0.02  # rad: the rigid torque is nearly linear within it
 _BLOCK_SAMPLES = 8
 
 
-@dataclass(frozen=True, eq=False)
-class Plateau:
+class Plateau(NamedTuple):
     """A settled stretch of constant velocity.
 
     Attributes:
@@ -61,8 +60,7 @@ class Plateau:
         return slice(int(self.blocks[0, 0]), int(self.blocks[-1, 1]))
 
 
-@dataclass(frozen=True, eq=False)
-class BagUse:
+class BagUse(NamedTuple):
     """What was used of one bag of sweeps.
 
     Attributes:

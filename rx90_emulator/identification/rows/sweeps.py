@@ -14,7 +14,7 @@ some seconds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import qr
@@ -35,8 +35,7 @@ _LONGEST_S = 2.0
 _INDEPENDENT = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class Blocks:
+class Blocks(NamedTuple):
     """Means over the b blocks of p plateaus of n joints.
 
     Attributes:
@@ -127,8 +126,7 @@ def _later_means(record: JointRecord, plateau: Plateau, sums: Array) -> Array:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class SweepRows:
+class SweepRows(NamedTuple):
     """The rows of sweeps.
 
     Attributes:

@@ -193,6 +193,7 @@ def validate(
     record: JointRecord,
     tolerances: GivenTolerances = NO_TOLERANCES,
     *,
+    assumed_bristles: bool,
     sliding: SlidingFit | None = None,
     bandwidths: Bandwidths | None = None,
 ) -> Validation:
@@ -204,6 +205,7 @@ def validate(
         record: read from the bag.
         tolerances: limits for agreement by name; the others are those for a bag with set-points of this project's
             controller, or those for all others.
+        assumed_bristles: whether c0 and c1 of any element are assumed.
         sliding: fit that the elements come from; None for given elements.
         bandwidths: of the runs that the elements were identified from; by default those of the bag.
     """
@@ -219,7 +221,7 @@ def validate(
     if sliding is None:  # sweeps have been checked already
         doubts += alarms(robot.arm, Recorded.of([record], robot.arm), robot.options, robot.zero)
     (torque,) = run_torques(problem, predicted)
-    return Validation(torque, limits, str(record.source), doubts)
+    return Validation(torque, limits, str(record.source), doubts, assumed_bristles)
 
 
 def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationProblem) -> Array:
@@ -238,6 +240,4 @@ def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationPro
     parts = regressor @ (directions * np.sqrt(np.maximum(values, 0.0)))
     deviation = np.sqrt(np.mean(np.sum(parts**2, axis=2), axis=0))
     known = deviation <= _MAX_WEIGHT_SD * np.sqrt(np.mean(recorded**2, axis=0))
-    return np.asarray(
-        np.where(known, regressor @ sliding.inertial, 0.0)[problem.sample, problem.joint]
-    )
+    return np.where(known, regressor @ sliding.inertial, 0.0)[problem.sample, problem.joint]

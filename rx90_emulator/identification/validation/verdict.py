@@ -54,7 +54,7 @@ class TorquePrediction:
     def rms_share(self) -> Array:
         """Return the RMS difference over the RMS recorded torque, shape (n,): infinite where none was recorded."""
         with np.errstate(divide="ignore"):
-            return np.asarray(self.rms / self._rms(self.recorded))
+            return self.rms / self._rms(self.recorded)
 
     @property
     def worst_share(self) -> Array:
@@ -128,18 +128,21 @@ def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorque
     )
     bag = np.repeat([str(run.source.path) for run in runs], [len(run.rows) for run in runs])
     sources = {str(run.source.path): run.source for run in runs}
-    return tuple(
-        RunTorques(
-            time=time[bag == path],
-            recorded=recorded[bag == path][:, identified],
-            predicted=expected[bag == path][:, identified],
-            compared=compared[bag == path][:, identified],
-            reversal=reversal[bag == path][:, identified],
-            names=names,
-            source=source,
+    torques = []
+    for path, source in sources.items():
+        place = np.ix_(bag == path, identified)
+        torques.append(
+            RunTorques(
+                time=time[bag == path],
+                recorded=recorded[place],
+                predicted=expected[place],
+                compared=compared[place],
+                reversal=reversal[place],
+                names=names,
+                source=source,
+            )
         )
-        for path, source in sources.items()
-    )
+    return tuple(torques)
 
 
 @dataclass(frozen=True)

@@ -96,9 +96,7 @@ def identified(
     given = {"problem": problem, "robot": robot, "consistency": consistency, "elements": elements, "bags": bags,
              "compared": bands}  # fmt: skip
     ranges = ((0.05, 2.0),) * len(elements)
-    return SimpleNamespace(
-        **given, arm=arm, date=DATE, notes=(), fitted=SimpleNamespace(speeds=ranges)
-    )
+    return SimpleNamespace(**given, arm=arm, date=DATE, notes=(), fitted=SimpleNamespace(speeds=ranges))
 
 
 @pytest.fixture(scope="module")
