@@ -1,7 +1,5 @@
 """Fixtures that the rooms of the test folder share."""
 
-from __future__ import annotations
-
 import copy
 import gc
 import os
@@ -79,7 +77,6 @@ def tx40() -> Setup:
 
 @pytest.fixture(scope="session")
 def shipped_files() -> RobotFiles:
-    """Return the paths of the shipped files."""
     return RobotFiles()
 
 

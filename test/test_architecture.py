@@ -3,8 +3,6 @@
 The roof bears the ROS package's name, rooms have a folder `node/`, the rest is the ground.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import sys
@@ -37,7 +35,6 @@ _KERNELS = {"plant_step", "bristle_step", "mass_and_bias", "position_loop", "vel
 
 @cache
 def nodes(name: str) -> tuple[ast.AST, ...]:
-    """Return all nodes of a module's syntax tree."""
     return tuple(ast.walk(ast.parse(MODULES[name].read_text(encoding="utf-8"))))
 
 
@@ -63,7 +60,6 @@ def owner(dotted: str) -> str | None:
 
 
 def arrows(name: str) -> set[str]:
-    """Return the project's modules that a module imports or names."""
     return {target for dotted in imports(name) if (target := owner(dotted)) is not None and target != name}
 
 
@@ -78,12 +74,10 @@ def reached(name: str) -> set[str]:
 
 
 def top_level(name: str) -> set[str]:
-    """Return the top-level packages that a module imports."""
     return {imported.split(".")[0] for imported in imports(name)}
 
 
 def ros(name: str) -> set[str]:
-    """Return the packages of ROS that a module imports."""
     return {imported for imported in top_level(name) if _ROS.fullmatch(imported)} - {"ament_index_python"}
 
 

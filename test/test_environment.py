@@ -1,7 +1,5 @@
 """The set-up that every make target goes through: when it installs, and what it refuses; the system's packages."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
@@ -27,7 +25,6 @@ class Recorded(Environment):
             self.python.touch()
 
     def updated(self, *extras: str) -> list[str]:
-        """Update and return the commands this took."""
         self.commands.clear()
         self.update(set(extras))
         return [command.replace(str(self.root), "ROOT") for command in self.commands]
@@ -35,7 +32,6 @@ class Recorded(Environment):
 
 @pytest.fixture
 def environment(tmp_path: Path) -> Recorded:
-    """Return an environment for a source tree of build files alone."""
     for name in ("setup.py", "setup.cfg", "pyproject.toml"):
         (tmp_path / name).write_text("")
     return Recorded(tmp_path)

@@ -1,7 +1,5 @@
 """The definitions in interfaces/: the types are those of ROS 2 Jazzy; and how they are built."""
 
-from __future__ import annotations
-
 import ctypes
 import subprocess
 import sys
@@ -29,7 +27,6 @@ JAZZY = {
 
 
 def hash_in(library: Path, package: str, name: str) -> bytes:
-    """Return the type hash in a package's library of C structs."""
     function = getattr(ctypes.PyDLL(str(library)), f"{package}__{name.replace('/', '__')}__get_type_hash")
     function.restype = ctypes.c_void_p
     return ctypes.string_at(function(None), 33)
@@ -37,7 +34,6 @@ def hash_in(library: Path, package: str, name: str) -> bytes:
 
 @pytest.fixture(scope="module")
 def library(needs_action: None) -> Path:  # noqa: ARG001 - it must be there
-    """Return the library of the C structs."""
     import control_msgs
 
     return Path(control_msgs.__file__).with_name("libcontrol_msgs__rosidl_generator_c.so")

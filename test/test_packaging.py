@@ -1,7 +1,5 @@
 """The package as colcon and pip install it, and as a wheel: found, complete, and at work without the source tree."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -175,7 +173,6 @@ def run(*command: object, folder: Path) -> str:
 
 
 def pip(*arguments: object, folder: Path) -> None:
-    """Run the test environment's pip without a network."""
     run(sys.executable, "-m", "pip", "--disable-pip-version-check", *arguments, folder=folder)
 
 

@@ -1,7 +1,5 @@
 """Figures of the pages: tables from what was measured, and the published curves over load and temperature."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The random arms that the identification from excitation runs is measured with, and logs that are poor."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

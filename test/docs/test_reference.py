@@ -1,7 +1,5 @@
 """The reference pages say what the nodes, the commands and the Python API have, and nothing else."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Sequence

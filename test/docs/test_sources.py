@@ -1,7 +1,5 @@
 """The pages' links, and the rows that say what follows which source."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import itertools
@@ -48,7 +46,6 @@ class Row(NamedTuple):
 
 
 def tables() -> list[list[Row]]:
-    """Return the rows of the page's two tables."""
     found: list[list[Row]] = []
     tokens = MarkdownIt("commonmark").enable("table").parse(PAGE.read_text(encoding="utf-8"))
     cells: list[str] = []
@@ -68,7 +65,6 @@ ROWS = [pytest.param(row, id=f"{name}-{row.number}") for name, rows in zip("ab",
 
 
 def quoted_names(cell: str) -> list[str]:
-    """Return what a cell has in backquotes."""
     return re.findall(r"`([^`]+)`", cell)
 
 
@@ -208,7 +204,6 @@ NAMED = re.compile(r"(?<![\w/.])docs/[\w/]+\.(?:md|ipynb|png|svg|webp)")
 
 @cache
 def tokens(page: Path) -> list[Token]:
-    """Return the Markdown tokens of a page or a notebook."""
     text = page.read_text(encoding="utf-8")
     if page.suffix == ".ipynb":
         cells = nbformat.reads(text, as_version=4).cells
@@ -217,7 +212,6 @@ def tokens(page: Path) -> list[Token]:
 
 
 def links(page: Path) -> Iterator[str]:
-    """Give the targets of links and pictures of a page."""
     for token in tokens(page):
         for child in token.children or ():
             target = child.attrGet("href") or child.attrGet("src")

@@ -1,7 +1,5 @@
 """Tutorials, first pages and notebooks do what they say, with their commands, files and programs as written."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

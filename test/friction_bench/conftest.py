@@ -1,7 +1,5 @@
 """Boards for the firmware tests: native, 8051 in uCsim, ATmega328P in simavr."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
@@ -32,7 +30,6 @@ def _compiler() -> None:
 
 
 def make_firmware(target: str, sources: Path, out: Path, *words: str) -> Path:
-    """Build a target's binary by the firmware's own Makefile."""
     need(target)
     command = ["make", "-s", "-C", str(sources), target, f"OUT={out}", *words]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -102,25 +99,21 @@ def make_board(firmware: Callable[[str], Path], shim: Callable[[str], Path]) -> 
 
 @pytest.fixture(scope="session")
 def rig() -> Rig:
-    """Return the shipped rig file."""
     return load_rig(REPOSITORY / "config" / "rig" / "gm8224.yaml")
 
 
 @pytest.fixture
 def client(rig: Rig) -> RigClient:
-    """Return a greeted client of an emulated rig in virtual time."""
     return greeted(rig)
 
 
 @pytest.fixture
 def emulated(client: RigClient) -> EmulatedRig:
-    """Return the emulated rig of that client."""
     return client.port.emulated
 
 
 @pytest.fixture
 def bench(rig: Rig, tmp_path: Path) -> Iterator[Bench]:
-    """Return a link that is connected."""
     made = Bench(rig, tmp_path / "rig")
     try:
         yield made

@@ -1,7 +1,5 @@
 """The commands of rx90 rig on emulated rigs, the self-test among them, and the launch file."""
 
-from __future__ import annotations
-
 import io
 import math
 import re
@@ -37,7 +35,6 @@ QUICK_RAMPS = ["--repeats", "2", "--slopes", "0.03", "0.06"]
 
 
 def estimates(out: Path) -> Any:
-    """Return the estimates of a folder."""
     return yaml.safe_load((out / "estimates.yaml").read_text())
 
 

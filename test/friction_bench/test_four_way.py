@@ -1,7 +1,5 @@
 """The source's three models of a ramp: each makes of Coulomb friction what its program does, and slides alike."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline

@@ -1,7 +1,5 @@
 """Known friction in, known friction out; no number where the data carry none; and the comparison with the models."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable
@@ -68,7 +66,6 @@ def own(rig: Rig, coulomb: float, viscous: float, inertia: float) -> Rig:
 
 
 def quiet(rig: Rig) -> Rig:
-    """Return the rig without noise and gain error."""
     return rig.replaced(emulation={"amplifier": {"gain_error": 0.0, "torque_noise": 0.0, "adc_noise": 0.0}})
 
 
@@ -360,7 +357,6 @@ def test_ramp_ends_before_the_firmware_trips(rig: Rig) -> None:
 
 
 def with_command(command: Callable[[Any], Any]) -> RampRecord:
-    """Return an ideal ramp with this command."""
     record = ideal_record(MODEL, 10.0)
     return replace(record, torque=command(MODEL.slope * (record.time + TICK / 2)))
 

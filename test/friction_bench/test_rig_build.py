@@ -1,7 +1,5 @@
 """The page that a rig is built from: its parts give the rig file's scales, its table of figures is the firmware's."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import subprocess
@@ -71,7 +69,6 @@ def test_table_of_figures_is_that_of_the_sources() -> None:
 
 
 def make(target: str, folder: Path, defines: str) -> subprocess.CompletedProcess[str]:
-    """Build the firmware as the page says."""
     need(target)
     command = ["make", "-s", "-C", str(ROOT / "firmware"), target, f"OUT={folder}", f"DEFINES={defines}"]
     return subprocess.run(command, capture_output=True, text=True, check=False)
@@ -164,7 +161,6 @@ def test_known_weight_finds_the_scale_within_the_page_s_uncertainty(
 
 
 def at_torque(player: Player, code: int) -> None:
-    """Ask an armed rig for a torque."""
     player.do_send({"torque": code})
     player.do_beat(60)
     assert player.reports[-1].result == CommandResult.OK

@@ -1,7 +1,5 @@
 """The host's side of the protocol: roll-overs, lost reports, resets, silence, refusals; a stop overtakes everything."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

@@ -1,7 +1,5 @@
 """The codec: COBS and CRC against independent definitions, fuzzing, and the firmware's decoder beside it."""
 
-from __future__ import annotations
-
 import ctypes
 import random
 import shutil
@@ -91,7 +89,6 @@ class NativeFrames:
         self.library.frame_reset()
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Return the frames that the firmware accepts."""
         frames = []
         for byte in data:
             if self.library.frame_receive(byte):
@@ -100,7 +97,6 @@ class NativeFrames:
         return frames
 
     def encode(self, body: bytes) -> bytes:
-        """Return the bytes that the firmware sends for a raw frame."""
         for at, byte in enumerate(body, 1):
             self.sent[at] = byte
         self.library.frame_send(len(body))

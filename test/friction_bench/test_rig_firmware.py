@@ -1,7 +1,5 @@
 """The firmware's real binaries, each against the same conformance transcripts."""
 
-from __future__ import annotations
-
 import random
 import re
 from collections.abc import Callable

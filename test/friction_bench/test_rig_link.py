@@ -1,7 +1,5 @@
 """The line to a rig on a pseudo-terminal: unplugging, garbage, resets, a second opener, a dead owner."""
 
-from __future__ import annotations
-
 import threading
 import time
 

@@ -1,7 +1,5 @@
 """The friction_bench node as a process, over DDS, on an emulated rig behind a pseudo-terminal."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import time
@@ -54,19 +52,16 @@ class Session:
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
 
     def start(self) -> None:
-        """Start the node."""
         with self.log.open("a") as stream:
             self.process = subprocess.Popen(executable("friction_bench", *self.arguments), stdout=stream, stderr=stream)
 
     def until(self, condition: Callable[[], bool], timeout: float = TIMEOUT) -> None:
-        """Listen until a condition holds."""
         end = time.monotonic() + timeout
         while not condition():
             assert time.monotonic() < end, self.log.read_text()
             self.executor.spin_once(timeout_sec=0.02)
 
     def call(self, name: str) -> Any:
-        """Call a service and return its answer."""
         client = self.node.create_client(Trigger, f"{self.name}/{name}")
         self.until(client.service_is_ready)
         answer = client.call_async(Trigger.Request())
@@ -81,7 +76,6 @@ class Session:
 
     @property
     def stage_on(self) -> bool:
-        """Return whether the rig's power stage is on."""
         return self.pty.emulated.board.stage_on
 
     def fault_is_latched_until_cleared(self) -> None:

@@ -1,7 +1,5 @@
 """The emulated rig's mechanics against a stiff solver: shaft, joint with bristles, and the motor's supply."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The source's experiment on an emulated rig as it was: `rx90 rig source` and `config/rig/source.yaml`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -40,7 +38,6 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def by_source(out: Path) -> Any:
-    """Return the source's evaluation of a measurement."""
     return yaml.safe_load((out / "estimates.yaml").read_text())["as_source"]
 
 
@@ -113,8 +110,6 @@ def test_velocity_is_constant_at_the_largest_torque(measured: Path) -> None:
 
 
 class CountingBoard(NativeBoard):
-    """A board that counts how often its stage came on."""
-
     times = 0
 
     def switched_on(self) -> bool:

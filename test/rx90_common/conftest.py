@@ -1,7 +1,5 @@
 """Arms for the tests of this package."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

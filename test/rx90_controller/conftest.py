@@ -1,7 +1,5 @@
 """The controller on textbook plants: six independent inertias behind unit gears."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Any
@@ -88,7 +86,6 @@ def servo(shipped: Setup) -> Callable[..., Servo]:
 
 @pytest.fixture
 def generator() -> TrajectoryGenerator:
-    """Return a generator that holds HOME."""
     return TrajectoryGenerator(LIMITS, PERIOD, HOME)
 
 

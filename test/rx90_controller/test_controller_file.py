@@ -1,7 +1,5 @@
 """The controller file: the files beside it that a model needs, and whose joints and interfaces it may name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,7 +18,6 @@ MODEL_SWITCHES = [("feed_forward", key) for key in ("inverse_dynamics", "frictio
 
 
 def refusal(path: Path) -> str:
-    """Return the one line with which the file is refused."""
     return refusal_by(load_controller, path)
 
 

@@ -1,7 +1,5 @@
 """Corrections are played beside trajectories: faded in and out, into the position error alone, and never beyond it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -29,14 +27,12 @@ FADE_TICKS = round(FADE / PERIOD)
 
 
 def points(target: float = 0.1, seconds: float = 1.0) -> TrajectoryPoints:
-    """Return a move of all joints from HOME."""
     rest = [ZERO, ZERO]
     return TrajectoryPoints.create(NAMES, NAMES, [0.0, seconds], [HOME, HOME + target], rest, rest)
 
 
 @pytest.fixture
 def steady() -> Correction:
-    """Return offsets that are the same all along."""
     return Correction(np.full((COUNT, 6), SIZE), PERIOD)
 
 
@@ -162,5 +158,4 @@ def test_the_loop_joins_a_trajectory_with_the_correction_that_waits_for_it(rig: 
 
 
 def sent(rig: Rig, identity: str, size: float) -> SimpleNamespace:
-    """Return the message of a correction of one second."""
     return trajectory(np.arange(999) * PERIOD, [size] * 999, names=rig.names, frame=identity)

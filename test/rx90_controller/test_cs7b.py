@@ -3,8 +3,6 @@
 Joint 5 stays at rest wherever joint 6 is looked at, because motor 6 follows q5 + q6.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable
@@ -31,7 +29,6 @@ KP, KV, KI, INERTIA, BANDWIDTH, PEAK = 40.0, 300.0, 1e5, 2.0, 800.0, 12.0
 
 
 def step_to(servo: Any, target: Array) -> None:
-    """Give a set-point that jumps at the start and stays."""
     rows, rest = [target, target], [[0.0] * 6] * 2
     servo.controller.trajectory.accept(
         TrajectoryPoints.create(NAMES, NAMES, [0.0, 1e-3], rows, rest, [[], []]), 0, None
@@ -39,7 +36,6 @@ def step_to(servo: Any, target: Array) -> None:
 
 
 def ramp(servo: Any, speed: Array, seconds: float) -> None:
-    """Give a set-point that runs at constant speed."""
     times, end = [0.0, seconds, seconds + 0.1], speed * seconds
     rows, rates = [[0.0] * 6, end, end + 0.05 * speed], [speed, speed, [0.0] * 6]
     servo.controller.trajectory.accept(TrajectoryPoints.create(NAMES, NAMES, times, rows, rates, [[]] * 3), 0, None)

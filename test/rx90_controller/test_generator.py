@@ -1,7 +1,5 @@
 """The set-point generator: what it follows tick by tick, and what breaks a limit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -109,7 +107,6 @@ class Reference:
         return self.running.setpoints(tick - self.start)[0]
 
     def accept(self, to: Array, seconds: float, now: int, begin: int) -> None:
-        """Let a joint move to a point at rest begin at a tick."""
         if self.waiting is not None and self.waiting[0] < now:
             self.setpoint(now)
         position, velocity, acceleration = self.running.setpoints(begin - self.start)[0]
@@ -121,7 +118,6 @@ class Reference:
         self.waiting = begin, round(seconds / PERIOD), alone
 
     def delay(self, count: int, tick: int) -> None:
-        """Let ticks from `tick` on pass."""
         if self.waiting is not None and self.waiting[0] < tick:
             self.setpoint(tick)
         resting = tick - self.start >= self.length
@@ -166,7 +162,6 @@ def test_random_requests_give_what_the_rules_say(data: st.DataObject) -> None:
 
 
 def other(joint: int, value: float, base: Array = HOME) -> Array:
-    """Return a pose with one joint elsewhere."""
     return np.where(np.arange(6) == joint, value, base)
 
 

@@ -1,7 +1,5 @@
 """Goals of FollowJointTrajectory without ROS: what is refused, how one is followed, its tolerances, and how it ends."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

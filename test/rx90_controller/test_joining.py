@@ -1,7 +1,5 @@
 """Trajectories that are joined to the motion: at once, or beside the ticks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

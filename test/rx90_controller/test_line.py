@@ -1,7 +1,5 @@
 """Straight lines: against SciPy and by hand, and where the arm cannot go."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from typing import Any
@@ -37,13 +35,11 @@ TURNING = LineTask(
 
 @pytest.fixture(scope="module")
 def task() -> LineTask:
-    """Return the shipped reference task."""
     return load_task(config_path("robots/rx90b/task.yaml"))
 
 
 @pytest.fixture(scope="module")
 def plan(shipped: Setup, task: LineTask) -> LinePlan:
-    """Return the plan of the shipped reference task."""
     return plan_line(shipped.robot, task)
 
 
@@ -170,7 +166,6 @@ def _line(start: tuple[float, ...], end: tuple[float, ...], **more: Any) -> Line
 
 
 def _refusal(shipped: Setup, line: LineTask) -> tuple[str, float]:
-    """Return the message and the distance it names."""
     with pytest.raises(LineError) as refusal:
         plan_line(shipped.robot, line)
     message = str(refusal.value)

@@ -1,7 +1,5 @@
 """Straight lines of arms without a closed form: by Pinocchio's kinematics, SciPy's integrator and least squares."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -53,7 +51,6 @@ def _pose(robot: RobotModel, q: Array) -> tuple[Array, Array]:
 
 
 def _asked(task: LineTask, times: Array) -> tuple[Array, list[Array]]:
-    """Return places and rotations that a trapezoidal profile asks for."""
     ramp, whole = task.speed / task.acceleration, task.length / task.speed
     t = np.clip(times - task.rest_before, 0.0, whole + ramp)
     up, down = np.minimum(t, ramp), np.maximum(t - whole, 0.0)
@@ -74,7 +71,6 @@ def _between_knots(plan: LinePlan, count: int) -> tuple[Array, Array]:
 
 @pytest.fixture(scope="module")
 def seven(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
-    """Return the arm of seven joints."""
     return robot_of_urdf(write_urdf(tmp_path_factory.mktemp("seven")), JOINTS)
 
 

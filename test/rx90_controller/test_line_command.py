@@ -1,7 +1,5 @@
 """The command-line tool: its table, its files, its exit status, and its delivery over DDS."""
 
-from __future__ import annotations
-
 import re
 import signal
 from contextlib import closing

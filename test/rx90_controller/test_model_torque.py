@@ -1,7 +1,5 @@
 """The feed-forward by a model of arm and friction, without parts and with them."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """What MoveIt sends when it plans at its limits (config/), and whether the controller takes it."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -28,13 +26,11 @@ SAMPLING = 0.1  # s: of Pilz' planner and of MoveIt's time-optimal parameterizat
 
 @pytest.fixture(params=["shipped", "tx40"])
 def setup(request: pytest.FixtureRequest) -> Setup:
-    """Return each shipped robot."""
     found: Setup = request.getfixturevalue(request.param)
     return found
 
 
 def joint_limits(setup: Setup) -> tuple[Array, Array]:
-    """Return the velocities and accelerations of joint_limits.yaml."""
     text = (setup.files.urdf.parent / "moveit" / "joint_limits.yaml").read_text(encoding="utf-8")
     limits = list(yaml.safe_load(text)["joint_limits"].values())
     velocity, acceleration = (np.array([joint[f"max_{what}"] for joint in limits]) for what in QUANTITIES)

@@ -1,7 +1,5 @@
 """Long trajectories, of the topic and of goals, come into the ticks without holding them up."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
@@ -40,7 +38,6 @@ class Ways:
             self.tick += gear.rates.ratio
 
     def note(self, name: str) -> Any:
-        """Return what patches a method of the generator."""
         original = getattr(TrajectoryGenerator, name)
 
         def entered(generator: TrajectoryGenerator, *args: Any, **kwargs: Any) -> Any:
@@ -57,7 +54,6 @@ class Ways:
 
 @pytest.fixture
 def ways(rig: Rig) -> Iterator[Ways]:
-    """Return a rig whose trajectories are watched."""
     ways = Ways(rig)
     rig.loop.hold(rig.states(0))
     rig.around.lines.clear()

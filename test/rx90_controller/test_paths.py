@@ -1,7 +1,5 @@
 """Paths of the tool: against circles, SciPy's splines, integrals and minima, Pinocchio, and limits on dense samples."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace
@@ -39,7 +37,6 @@ POINTS = ((0.56, 0.01, 0.2), (0.54, 0.05, 0.21), (0.56, 0.1, 0.22), (0.6, 0.1, 0
 
 @pytest.fixture(scope="module")
 def circle() -> Path:
-    """Return the shipped circle."""
     return load_path("paths/circle.yaml")
 
 
@@ -231,7 +228,6 @@ def test_a_stop_at_a_corner_needs_no_places() -> None:
 
 
 def _tips(setup: Setup, q: Array) -> tuple[Array, Array]:
-    """Return tips and rotations by Pinocchio."""
     poses = np.array([tip_pose(setup.robot, row) for row in q])
     return poses[:, :3, 3], poses[:, :3, :3]
 

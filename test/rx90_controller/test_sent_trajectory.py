@@ -1,7 +1,5 @@
 """When a trajectory that was sent has ended: a closed one, slowed down, late, replaced, refused, held off its end."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,12 +20,10 @@ ENDED = "trajectory ended at 25.000 s; holding"
 
 
 def message(places: Sequence[float]) -> JointTrajectory:
-    """Return a trajectory of one joint."""
     return JointTrajectory(joint_names=["a"], points=[JointTrajectoryPoint(positions=[place]) for place in places])
 
 
 def sent(tolerance: float = 1e-3) -> SentTrajectory:
-    """Return the trajectory after it was sent."""
     points = TrajectoryPoints(TIMES, PLACES[:, None], None, None)
     return SentTrajectory(message(PLACES.tolist()), points, tolerance)
 

@@ -1,7 +1,5 @@
 """The controller's ticks in lock-step and in free-running time, on a channel and a wall clock made by hand."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable
@@ -45,7 +43,6 @@ class Simulation:
         self._phase = 0.0
 
     def sleep(self, seconds: float) -> None:
-        """Let the wall clock pass."""
         self.now += seconds
         self._phase += seconds * self.speed / TICK
         while self._phase >= 1.0:
@@ -57,7 +54,6 @@ class Simulation:
                 self.inbox.append(self.foreign.pop())
 
     def matches(self) -> Matches:
-        """Return the peers."""
         return Matches(1, self.publishers)
 
     def receive(self, timeout: float) -> bytes | None:
@@ -69,7 +65,6 @@ class Simulation:
         return self.inbox.pop(0) if self.inbox else None
 
     def publish(self, raw: bytes) -> None:
-        """Note the command."""
         self.commands.append(raw)
 
     def wake(self) -> None:
@@ -77,8 +72,6 @@ class Simulation:
 
 
 class Loops:
-    """Loops that note when they ran which tick."""
-
     def __init__(self, simulation: Simulation) -> None:
         self.simulation = simulation
         self.said: list[str] = []
@@ -94,7 +87,6 @@ class Loops:
         self.side = serving.Serving(simulation, ["a"], RATES, self, pacer, "robot", *said)  # type: ignore[arg-type]
 
     def begin(self) -> None:
-        """Take half a second to get ready."""
         self.prepared += 1
         self.simulation.sleep(0.5)
 
@@ -102,11 +94,9 @@ class Loops:
         """Publish nothing."""
 
     def skip(self, count: int) -> None:
-        """Note the ticks left out."""
         self.skipped.append(count)
 
     def hold(self, states: MotorStates) -> None:
-        """Note where the loops begin."""
         self.begun.append(states.stamp_ns // RATES.period_ns)
 
     def step(self, stamp: int, states: MotorStates) -> bool:
@@ -119,13 +109,11 @@ class Loops:
         return True
 
     def hear(self, *messages: bytes) -> None:
-        """Serve these states in lock-step."""
         for raw in messages:
             self.simulation.inbox.append(raw)
             self.side.serve_lock_step(0.0)
 
     def run(self, until: Callable[[], bool]) -> None:
-        """Serve until a condition holds."""
         for _ in range(200_000):
             if until():
                 return
@@ -133,13 +121,11 @@ class Loops:
         pytest.fail("the condition never held")
 
     def run_for(self, seconds: float) -> None:
-        """Serve for a time of the wall clock."""
         end = self.simulation.now + seconds
         self.run(lambda: self.simulation.now >= end)
 
 
 def message(tick: int, effort: float = 0.0) -> bytes:
-    """Return the states of a tick."""
     values = np.full(1, float(tick))
     return CODEC.encode(tick * RATES.period_ns, values, values, np.full(1, effort))
 
@@ -209,7 +195,6 @@ def test_a_mode_that_comes_late_costs_no_trajectory() -> None:
 
 @pytest.fixture
 def loops() -> Loops:
-    """Return loops that have run for a second beside a simulation."""
     loops = Loops(Simulation())
     loops.run_for(2.0)
     return loops

@@ -3,8 +3,6 @@
 Where the motors of the rig stand still, the error of a joint is its set-point: the cubic of the trajectory.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -218,7 +216,6 @@ def held(rig: Rig) -> Callable[..., Rig]:
 
 
 def aborted(rig: Rig) -> list[str]:
-    """Return the lines on trajectories that were given up."""
     return [line for line in rig.around.lines if line.startswith("trajectory aborted")]
 
 

@@ -1,7 +1,5 @@
 """Speed along the path: slower, faster, held, stopped, without leaving it and within the accelerations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import example, given, settings

@@ -1,7 +1,5 @@
 """Each event in each state of the controller, and random sequences of events by the thousand."""
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 from unittest import mock
@@ -90,7 +88,6 @@ def test_each_event_in_each_state_has_its_answer_and_the_page_says_so(shipped: S
 
 
 def damage(random: Generator, sent: Any) -> None:
-    """Break one thing of a trajectory."""
     point = sent.points[random.integers(len(sent.points))]
     strange = [np.nan, np.inf, -np.inf, 1e300, -1e300, 1e-300]
     match random.integers(0, 6):
@@ -117,11 +114,9 @@ class Drives(Law):
 
     @property
     def tick(self) -> int:
-        """Return the next tick."""
         return self.position_tick
 
     def reset(self, position: Array, tick: int) -> None:
-        """Hold the motors."""
         self.fault = None
         self.setpoint = np.array([position, ZERO, ZERO])
         self.trajectory.reset(position)
@@ -154,7 +149,6 @@ class Play:
         self.started, self.on, self.released, self.active = False, True, False, True
 
     def begin(self) -> None:
-        """Let states come that follow no others."""
         self.loop.post(Begin(int(self.random.integers(0, 10)) * 1_000_000, self.law.setpoint[0]))
         self.started, self.released = True, False
         self.setpoints = [self.law.setpoint]
@@ -180,7 +174,6 @@ class Play:
         self.check()
 
     def check(self) -> None:
-        """Check the set-points since the last time."""
         path = np.array(self.setpoints)
         assert (np.abs(path[:, 0]) <= LIMITS.upper).all()
         assert (np.abs(path[:, 1]) <= LIMITS.velocity * (1 + 2e-3)).all()

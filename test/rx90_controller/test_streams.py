@@ -3,8 +3,6 @@
 The motors of the rig are where the set-points are. Its joints accelerate at 6 rad/s^2 (joint 2) to 60.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from types import SimpleNamespace
@@ -50,7 +48,6 @@ class Arm(Rig):
         return self.cs7b.position_tick * T
 
     def states(self, tick: int) -> MotorStates:
-        """Return the states of a tick."""
         motors = self._drives.gear * (self._drives.turning.turns @ self.cs7b.setpoint[0])
         return MotorStates(tick * self.period, motors, np.zeros(6))
 
@@ -65,7 +62,6 @@ class Arm(Rig):
         return np.array(self.setpoints)
 
     def take(self, message: Any) -> None:
-        """Hand over a message as the node does."""
         if hasattr(message, "points"):
             self.loop.receive(message)
             return
@@ -85,7 +81,6 @@ def keeps_limits(limits: JointLimits, setpoints: Array) -> None:
 
 @pytest.fixture
 def arm(shipped: Setup) -> Arm:
-    """Return an arm that holds the zero position."""
     return Arm(shipped)
 
 
@@ -104,7 +99,6 @@ def wave(times: Any) -> Any:
 
 
 def sent(period: float, until: float) -> list[Delivery]:
-    """Return the wave as messages that come in time."""
     times = [k * period for k in range(1, round(until / period))]
     return [(at, state(wave(at), stamp=at)) for at in times]
 

@@ -1,7 +1,5 @@
 """The points of trajectories and the paths through them: against SciPy, and refused by point, joint and reason."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any
@@ -22,7 +20,6 @@ REST = [0.0] * 6
 
 
 def create(**changed: Any) -> TrajectoryPoints:
-    """Return three good points with something changed."""
     given: dict[str, Any] = {
         "robot_joints": NAMES,
         "joint_names": NAMES,

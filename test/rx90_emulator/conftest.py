@@ -1,7 +1,5 @@
 """A short line, so that a run takes milliseconds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -28,5 +26,4 @@ def task(task_file: Path) -> LineTask:
 
 @pytest.fixture(scope="session")
 def catalogue(shipped: Setup, task: LineTask) -> Catalogue:
-    """Return the paths of the shipped setup and the short line."""
     return Catalogue(shipped, task)

@@ -1,7 +1,5 @@
 """`import rx90_emulator as rx`: what it offers, how it documents itself, and that it costs nothing until it is used."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import inspect
@@ -28,7 +26,6 @@ LIGHT = "numpy scipy numba pinocchio rclpy rosbags matplotlib pyarrow yaml tqdm 
 
 
 def fresh(code: str) -> str:
-    """Run code in a new interpreter and return what it printed."""
     done = subprocess.run(
         [sys.executable, "-c", code],
         env={**os.environ, "PYTHONPATH": str(ROOT)},

@@ -1,7 +1,5 @@
 """Texts of files and bags are texts on every page: names that HTML, Markdown, a template or a formula would run."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Who takes friction elements with parts, and who refuses them in one line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from shutil import copytree
@@ -34,7 +32,6 @@ def parted_file(shipped: Setup, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def parted(parted_file: Path) -> Setup:
-    """Return the shipped setup with these parts."""
     return rx.load_setup(friction=parted_file)
 
 

@@ -1,7 +1,5 @@
 """Oracles and small plants for the tests of what nature does."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -64,7 +62,6 @@ class ArmOracle:
         return float(0.5 * v @ mass @ v + gravity + spring)
 
     def joint_torque(self, motor: ArrayLike) -> Array:
-        """Return joint torques by the principle of virtual work."""
         return np.asarray(self.turns.T @ (self.setup.drives.gear * np.asarray(motor, float)))
 
     def integrate(
@@ -87,13 +84,11 @@ class ArmOracle:
 
 @pytest.fixture(scope="session")
 def arm_oracle(shipped: Setup) -> ArmOracle:
-    """Return the independent model of the shipped arm."""
     return ArmOracle(shipped)
 
 
 @pytest.fixture(scope="session")
 def frictionless() -> FrictionSet:
-    """Return seven elements without noticeable friction."""
     names = tuple(f"element_{i}" for i in range(7))
     return FrictionSet(names, (negligible_element(),) * 7)
 

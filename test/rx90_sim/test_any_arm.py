@@ -1,7 +1,5 @@
 """Arms of 1, 6 and 7 joints, with motors that turn with several of them, against other people's solvers."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Brakes hold and stop the arm, end stops push it back, and a diverging state ends the run with an error."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

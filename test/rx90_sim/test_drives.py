@@ -1,7 +1,5 @@
 """Drives: torque limits, gears and encoders, cogging, windings, and sensors of the current."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any
@@ -137,7 +135,6 @@ TERMS = Cogging(
 
 
 def cogged(setup: Setup, cogging: Cogging = TERMS) -> Setup:
-    """Return a setup with cogging."""
     return dataclasses.replace(setup, drives=setup.drives.replaced(cogging=cogging))
 
 
@@ -150,7 +147,6 @@ def wells(setup: Setup, motors: Array) -> float:
 
 @kernel
 def cog(plants: Any, states: Any, angle: Array, velocity: Array, torque: Array, step: float) -> None:
-    """Add the mean cogging over a step to joint torques."""
     add_cogging(plants[0], states[0], angle, velocity, torque, step)
 
 
@@ -201,7 +197,6 @@ def test_brakes_hold_against_cogging(shipped: Setup) -> None:
 
 
 def windings(**changes: object) -> Windings:
-    """Return windings of a small servo motor."""
     six = np.ones(6)
     values = {
         "resistance": 2.0 * six, "thermal_resistance": 1.5 * six, "heat_capacity": 40.0 * six, "ambient": 25.0,
@@ -284,7 +279,6 @@ NOISE = np.array([0.01, 0.02, 0.005, 0.01, 0.02, 0.003])
 
 
 def sensed(setup: Setup, sensor: CurrentSensor, seed: int = 0) -> Setup:
-    """Return a setup with errors of its current sensors."""
     drives = setup.drives.replaced(current_sensor=sensor)
     return dataclasses.replace(setup, drives=drives, seed=seed)
 

@@ -1,7 +1,5 @@
 """Elastic gears: one joint against closed forms and solvers, and the whole arm."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -62,7 +60,6 @@ def test_second_order_for_the_whole_arm(shipped: Setup, side: str, damping: floa
 
 
 def prepared(setup: Setup, substeps: int) -> Plant:
-    """Return a plant at rest that hangs in its gears."""
     plant = setup.plant(substeps)
     plant.reset(POSE)
     return plant

@@ -3,8 +3,6 @@
 Joints 1 to 4 of the plant serve as independent masses; a motor torque is the external force.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Commands held in free-running time, on a channel and a clock made by hand."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from functools import partial
@@ -49,12 +47,10 @@ class Drive:
         complain: Callable[[str], None],
         decode: Callable[[bytes], Any] = lambda raw: CODEC.decode(raw)[3],
     ) -> None:
-        """Hold commands in this way."""
         channel: Any = self
         self.held = kind(channel, decode, PERIOD, timeout, self.said.append, complain)
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return the next command."""
         if not self.inbox and timeout > 0.0:
             after, stamp = self.late[0] if self.late else (1e9, 0)
             waited = min(timeout, after)
@@ -67,7 +63,6 @@ class Drive:
         return self.inbox.pop(0) if self.inbox else None
 
     def matches(self) -> Matches:
-        """Return the peers."""
         return Matches(1, self.publishers)
 
     def tick(self, *stamps: int, to: int | None = None) -> float | None:
@@ -82,13 +77,11 @@ class Drive:
 
 
 def command(stamp: int) -> bytes:
-    """Return a command whose torque is the tick that it answers."""
     return CODEC.encode(stamp * PERIOD, effort=np.array([float(stamp)]))
 
 
 @pytest.fixture
 def drive(monkeypatch: pytest.MonkeyPatch) -> Drive:
-    """Return a drive that has heard nothing yet."""
     return Drive(monkeypatch)
 
 

@@ -1,7 +1,5 @@
 """Parts of the simulation's node: run control, publications, and the interface at the joints."""
 
-from __future__ import annotations
-
 import random
 import threading
 from itertools import pairwise
@@ -23,8 +21,6 @@ from rx90_sim.plant import JointInterface
 
 
 class Ticking:
-    """A thread that counts ticks as the node's does."""
-
     def __init__(self, last_tick: int | None = None) -> None:
         self.control = RunControl(paused=True, wake=lambda: None, last_tick=last_tick)
         self.tick = 0
@@ -134,7 +130,6 @@ TURNS[7][6, 5] = -1.0  # motor 7 turns with joint 7, and against joint 6
 
 @pytest.fixture(scope="module")
 def seven(tmp_path_factory: pytest.TempPathFactory) -> Setup:
-    """Return an arm of seven joints with a coupling of its own."""
     return load_setup(robot=write_arm(tmp_path_factory.mktemp("seven") / "arm", 7, TURNS[7].tolist()))
 
 

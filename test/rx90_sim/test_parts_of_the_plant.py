@@ -1,7 +1,5 @@
 """Friction elements with parts in the plant, against solvers, and the temperature of its joints."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The plant against solvers: the paper's equations, a stiff reference, other bristles, and the steps that it takes."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re
@@ -63,7 +61,6 @@ BENT = np.array([0.3, 0.5, 1.0, -0.4, 0.6, 0.2])
 
 @pytest.fixture(scope="module")
 def work() -> Work:
-    """Return the reference line up to where the arm has come to speed."""
     return Work.load()._replace(duration=1.2)
 
 

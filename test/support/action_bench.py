@@ -1,7 +1,5 @@
 """Both nodes in one process, two clients of the action, and time that runs by steps."""
 
-from __future__ import annotations
-
 import math
 import re
 from typing import Any
@@ -21,8 +19,6 @@ UNPACED = ("-p", "rx90_sim:real_time_factor:=0.0")
 
 
 class Bench:
-    """Both nodes and two clients of the action."""
-
     def __init__(self, client: Client, cell: ChildProcess, processes: Processes) -> None:
         from action_client import GoalClient, Stepper
 
@@ -57,7 +53,6 @@ class Bench:
         return heard
 
     def begin_anew(self) -> None:
-        """Reset the simulation."""
         self.time.reset()
         self.time.run(STEP)
         self.client.spin_until(lambda: seconds(self.set_points[-1]) < self.now, "time to begin anew")
@@ -105,5 +100,4 @@ class Bench:
         return largest
 
     def said(self, words: str) -> None:
-        """Wait for a line of the nodes."""
         self.cell.wait_for(re.escape(words))

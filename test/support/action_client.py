@@ -1,7 +1,5 @@
 """A client of the controller's action, and the simulation's time under its hand."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -21,7 +19,6 @@ BASE_RATE = 4000  # Hz
 
 
 def stamp(kind: Any, seconds: float) -> Any:
-    """Return a Time or a Duration."""
     sec, nanosec = divmod(round(seconds * 1e9), 10**9)
     return kind(sec=sec, nanosec=nanosec)
 
@@ -44,13 +41,10 @@ def goal(*points: Any, names: Sequence[str] = tuple(JOINTS), start: float = 0.0,
 
 
 def move(to: float | Sequence[float], seconds: float = 0.2, **fields: Any) -> Any:
-    """Return a goal of all joints to a pose."""
     return goal(point(seconds, np.broadcast_to(to, 6).tolist()), **fields)
 
 
 class GoalClient:
-    """A client of one controller's action."""
-
     def __init__(self, client: Client, controller: str = "rx90_controller") -> None:
         self._client = client
         self.feedback: list[Any] = []
@@ -59,15 +53,12 @@ class GoalClient:
 
     @property
     def client(self) -> Client:
-        """The node that it is on."""
         return self._client
 
     def there(self) -> bool:
-        """Return whether there is a controller."""
         return bool(self._action.server_is_ready())
 
     def wait(self, future: Future) -> Any:
-        """Return what a future brings."""
         self._client.spin_until(future.done, "an answer", TIMEOUT)
         return future.result()
 
@@ -77,7 +68,6 @@ class GoalClient:
         return self.wait(self._action.send_goal_async(message, lambda sent: heard.append(sent.feedback)))
 
     def result_of(self, handle: Any) -> Future:
-        """Ask for a goal's result."""
         assert handle.accepted
         return handle.get_result_async()
 
@@ -124,7 +114,6 @@ class Stepper:
         assert self._ask(self._pauses, SetBool.Request(data=paused)).success
 
     def reset(self) -> None:
-        """Begin anew."""
         assert self._ask(self._resets, Trigger.Request()).success
         self._ran = 0
 

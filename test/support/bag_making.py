@@ -1,7 +1,5 @@
 """Bags made with rosbags alone, independent of the code under test, and small helpers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +27,6 @@ def joint_state(
     frame_id: str = "",
     store: Any = ROS2,
 ) -> Any:
-    """Return a JointState of a rosbags type store."""
     time = store.types["builtin_interfaces/msg/Time"](sec=stamp_ns // 1_000_000_000, nanosec=stamp_ns % 1_000_000_000)
     sequence = {"seq": 0} if store is ROS1 else {}
     header = store.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id, **sequence)
@@ -61,7 +58,6 @@ def as_sqlite(bag: Path) -> Path:
 
 
 def write_one(bag: BagWriter, number: int, log_ns: int, cdr: bytes) -> None:
-    """Write a serialised message by our own writer."""
     bag.write_many(np.array([number]), np.array([log_ns]), [cdr])
 
 
@@ -82,7 +78,6 @@ def series(
     step_ns: int = 1_000_000,
     seed: int = 0,
 ) -> JointSeries:
-    """Return random joint states at a steady rate."""
     random = np.random.default_rng(seed)
     position, velocity, effort = (random.normal(size=(count, len(names))) for _ in range(3))
     return JointSeries(topic, names, np.arange(count) * step_ns, position, velocity, effort)

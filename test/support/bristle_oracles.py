@@ -1,7 +1,5 @@
 """Bristles of other kinds than LuGre's once more, written down from the papers for a solver with located events."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

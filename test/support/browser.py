@@ -3,8 +3,6 @@
 One browser serves all tests of a session; each test has pages of its own.
 """
 
-from __future__ import annotations
-
 import shutil
 import threading
 from collections.abc import Callable, Iterator
@@ -107,7 +105,6 @@ class BrowserPage:
         return np.array(list(columns), dtype=np.float64).reshape(4, 4).T
 
     def button(self, name: str) -> Any:
-        """Return a button by the beginning of its label."""
         return self.page.get_by_role("button", name=name)
 
     def wait_until(self, ready: Callable[[], bool], what: str) -> None:
@@ -119,7 +116,6 @@ class BrowserPage:
         pytest.fail(f"waited {TIMEOUT / 1000:g} s in vain for {what}")
 
     def text(self) -> str:
-        """Return all text on the page."""
         return str(self.page.inner_text("body"))
 
 

@@ -1,7 +1,5 @@
 """A good file of every kind: the shipped ones, and one for each kind of which none is shipped."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

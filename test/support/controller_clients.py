@@ -4,8 +4,6 @@ rqt_joint_trajectory_controller: ros2_controllers 94e74de, joint_trajectory_cont
 MoveIt's Ros2ControlManager and Ros2ControlMultiManager: moveit2 4d84106, controller_manager_plugin.cpp.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from controller_manager_msgs.srv import ListControllers
@@ -28,7 +26,6 @@ class Rqt:
         self._client = client
 
     def managers(self) -> list[str]:
-        """Return the namespaces of `get_controller_managers`."""
         services = self._client.node.get_service_names_and_types()
         sloppy = [name.split("/list_controllers")[0] or "/" for name, _ in services if "/list_controllers" in name]
         return sorted(space for space in sloppy if self._is_manager(space))
@@ -41,14 +38,12 @@ class Rqt:
         )
 
     def running(self, manager: str) -> list[Any]:
-        """Return the controllers of `_running_jtc_info`."""
         answer = self._client.asking.call(ListControllers, f"{manager}/list_controllers", ListControllers.Request())
         found = [each for each in answer.controller if "JointTrajectoryController" in each.type]
         return [each for each in found if each.state == "active"]
 
     @staticmethod
     def joint_names(controller: Any) -> list[str]:
-        """Return the names of `_jtc_joint_names`."""
         names: list[str] = []
         for interface in controller.required_state_interfaces:
             name, kind = "/".join(interface.split("/")[:-1]), interface.split("/")[-1]

@@ -1,7 +1,5 @@
 """Arms with elastic gears for tests, and their equations once more, independent of the product."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Any
@@ -58,7 +56,6 @@ def link_mass(setup: Setup, q: Array) -> Array:
 
 
 def free(plant: Plant, q: Array) -> Any:
-    """Put the arm at rest without brakes and return its state."""
     plant.reset(q)
     plant.step(np.zeros(6))  # opens the brakes
     plant.reset(q)

@@ -1,7 +1,5 @@
 """Random arms with Coulomb and viscous friction, their filtered runs, and what is true of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +17,6 @@ Array = NDArray[np.float64]
 
 
 def plain_arm(seed: int, joints: int, *, coupled: bool) -> SyntheticArm:
-    """Return a random arm whose friction is Coulomb and viscous."""
     arm = random_arm(seed, joints, coupled=coupled, stribeck=False)
     laws = tuple(FrictionLaw((law.coulomb, law.coulomb), law.c2) for law in arm.friction)
     return replace(arm, friction=laws)
@@ -45,7 +42,6 @@ def runs_of(
     seeds: Sequence[int] = (0,),
     periods: int = 2,
 ) -> tuple[FilteredRun, ...]:
-    """Return filtered runs."""
     made = [measured(arm, FourierMotion.random(arm, k, periods=periods), rate, k, disturbances) for k in seeds]
     records = [run.record(arm) for run in made]
     chosen = bandwidths or Bandwidths.of(records)

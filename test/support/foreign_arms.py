@@ -42,14 +42,12 @@ def urdf_text(joints: Sequence[str], axes: Sequence[str], masses: Sequence[float
 def write_urdf(
     folder: Path, joints: Sequence[str], axes: Sequence[str], masses: Sequence[float], kind: str = "revolute"
 ) -> Path:
-    """Write such a chain into a folder and return its file."""
     file = folder / "arm.urdf"
     file.write_text(urdf_text(joints, axes, masses, kind), encoding="utf-8")
     return file
 
 
 def some_rows(record: Any, kept: Any) -> Any:
-    """Return the joint record with some of its samples."""
     return replace(record, **{name: getattr(record, name)[kept] for name in ("time", "position", "velocity", "torque")})
 
 
@@ -74,7 +72,6 @@ class Curve:
         return np.asarray(np.sign(velocity) * (coulomb + (static - coulomb) * decay) + self.c2 * velocity)
 
     def scaled(self, factor: float) -> Curve:
-        """Return the curve with all torques larger by a factor."""
         torques = {name: factor * value for name, value in vars(self).items() if name not in ("omega_s", "delta")}
         return replace(self, **torques)
 
@@ -165,7 +162,6 @@ def write(
 
 
 def write_fallback(path: Path, elements: Sequence[str]) -> Path:
-    """Write a friction file for what bags do not tell."""
     both = {"positive": 1.0, "negative": 1.0}
     values = {"tau_c": both, "tau_s": both, "omega_s": 0.1, "delta": 1.0, "c0": 12345.0, "c1": 10.0, "c2": 1.0}
     path.write_text(yaml.safe_dump({"elements": dict.fromkeys(elements, values)}), encoding="utf-8")

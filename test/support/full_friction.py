@@ -1,7 +1,5 @@
 """A friction file whose elements have every part that is off in the shipped ones."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Goals of FollowJointTrajectory as messages, and an arm that follows them without ROS."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 from unittest import mock
@@ -42,7 +40,6 @@ DEFAULTS = GoalTolerances.of_parameters(
 
 
 def tolerance(name: str, position: float = 0.0, velocity: float = 0.0, acceleration: float = 0.0) -> SimpleNamespace:
-    """Return a JointTolerance."""
     return SimpleNamespace(name=name, position=position, velocity=velocity, acceleration=acceleration)
 
 
@@ -68,7 +65,6 @@ def message(to: Array | None = None, seconds: float = 0.6, **changed: Any) -> Si
 
 
 def checked(goal: SimpleNamespace, **options: bool) -> TrajectoryRequest:
-    """Return a checked goal."""
     return check_request(goal.trajectory, DEFAULTS, GoalOptions(**options), 1000, goal)
 
 
@@ -100,12 +96,10 @@ class Law:
         self.setpoint, self.off, self.off_speed = np.array([HOME, ZERO, ZERO]), ZERO.copy(), ZERO.copy()
 
     def step(self, *_: object) -> None:
-        """Run a tick."""
         self.setpoint = self.trajectory.setpoints(self.position_tick)[0]
         self.position_tick += 1
 
     def measured(self) -> tuple[Array, Array]:
-        """Return where the arm is and how fast."""
         return self.setpoint[0] - self.off, self.setpoint[1] - self.off_speed
 
 
@@ -133,7 +127,6 @@ class Arm:
 
     @property
     def tick(self) -> int:
-        """Return the next tick."""
         return self.law.position_tick
 
     def offer(self, key: str, goal: SimpleNamespace | TrajectoryRequest) -> Event | None:
@@ -154,7 +147,6 @@ class Arm:
             self.active = self.feedback = None
 
     def _events(self) -> list[Event]:
-        """Return which goals have ended since the last call."""
         self.loop.report()
         ended, self._ended = self._ended, []
         return ended

@@ -1,7 +1,5 @@
 """A URDF as makers publish them: an arm of seven joints with a gripper, on a base with more joints, made up here."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 JOINTS = tuple(f"arm_{k}" for k in range(1, 8))

@@ -1,7 +1,5 @@
 """An arm of one joint with known friction, and a bag of it, which many tests of the identification share."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,7 +34,6 @@ class Hinge:
 
 
 def make_hinge(folder: Path) -> Hinge:
-    """Write the files of the joint into a folder."""
     urdf = folder / "arm.urdf"
     urdf.write_text(urdf_text(["hinge"], ["0 1 0"], [2.0]), encoding="utf-8")
     model = pin.buildModelFromXML(urdf.read_text(encoding="utf-8"))

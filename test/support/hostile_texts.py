@@ -1,7 +1,5 @@
 """Texts that HTML, Markdown, a template or a formula would take for more than text, and files made of them."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any

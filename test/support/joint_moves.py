@@ -1,7 +1,5 @@
 """Joint moves for the set-point generator, and as messages: six joints alike, at rest at HOME."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
@@ -39,7 +37,6 @@ def points(
     *,
     moving_end: bool = False,
 ) -> TrajectoryPoints:
-    """Return checked points of all joints or some."""
     none: list[list[float]] = [[]] * len(times)
     velocities = none if velocity is None else velocity
     return TrajectoryPoints.create(NAMES, names, times, position, velocities, none, partial=True, moving_end=moving_end)

@@ -33,7 +33,6 @@ class Action(NamedTuple):
     named: dict[str, Any]
 
     def perform(self, context: Context) -> str:
-        """Return the value of a configuration."""
         return context.launch_configurations[self.given[0]]
 
 
@@ -44,7 +43,6 @@ class Context(NamedTuple):
 
 
 def build(monkeypatch: pytest.MonkeyPatch, file: str) -> list[Action]:
-    """Return the actions of the description in a launch file."""
     for module, kinds in _STUBS.items():
         stub = ModuleType(module)
         for kind in kinds:
@@ -69,7 +67,6 @@ def parameters(node: Action) -> dict[str, str]:
 
 
 def ending(node: Action, code: int, shutting_down: bool = False) -> Action | None:
-    """Return what the launch does when the node ends."""
     event = SimpleNamespace(returncode=code, process_name="node-1")
     answer: Action | None = node.named["on_exit"](event, SimpleNamespace(is_shutdown=shutting_down))
     return answer

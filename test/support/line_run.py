@@ -1,7 +1,5 @@
 """A short line through the nodes in lock-step, beside the same line through the closed loop without ROS."""
 
-from __future__ import annotations
-
 import re
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Equations 17 to 19 once more, independent of the product, and elements for the tests of friction."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -55,7 +53,6 @@ class LuGreOracle:
 
 @pytest.fixture(scope="session")
 def lugre_oracle() -> type[LuGreOracle]:
-    """Return the independent LuGre equations."""
     return LuGreOracle
 
 
@@ -67,8 +64,6 @@ def paper_element() -> FrictionElement:
 
 @pytest.fixture
 def record() -> Callable[[FrictionElement], Any]:
-    """Return what makes one element as compiled code has it."""
-
     def make(element: FrictionElement) -> Any:
         return one_element(element_arrays((element,))[0], 0)
 

@@ -1,7 +1,5 @@
 """MoveIt Servo's loop for joint jogs, written anew from its source."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np
@@ -24,7 +22,6 @@ class Servo:
         self._in, self._out = position.copy(), position.copy()
 
     def _smooth(self, position: Array) -> tuple[Array, Array]:
-        """Return positions and velocities of `doSmoothing`."""
         before, self._in = self._in, position
         last = self._out
         self._out = (position + before - (1.0 - self.COEFFICIENT) * last) / (1.0 + self.COEFFICIENT)
@@ -49,7 +46,6 @@ class Servo:
         return trajectory([stamp - first for stamp in stamps], positions, velocities, start=first)
 
     def _update_window(self, now: float, position: Array, velocity: Array) -> None:
-        """Do what `updateSlidingWindow` does."""
         stamp = now + self.LATENCY
         while self.window and self.window[0][0] < now - self.LATENCY:
             self.window.pop(0)

@@ -1,7 +1,5 @@
 """Skip tests whose packages are missing; fail them where CI says that nothing may be missing."""
 
-from __future__ import annotations
-
 import os
 from typing import NoReturn
 

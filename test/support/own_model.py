@@ -1,7 +1,5 @@
 """Setups whose controller feeds forward by a model of its own, right or wrong."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +11,6 @@ from rx90_emulator.loop.setup import Setup
 
 
 def by_model(setup: Setup, *, inverse_dynamics: bool = True, friction_model: bool = True) -> Setup:
-    """Return the setup with a controller that feeds forward by its model."""
     switches = {"inverse_dynamics": inverse_dynamics, "friction_model": friction_model}
     return dataclasses.replace(setup, controller=setup.controller.replaced(feed_forward=switches))
 

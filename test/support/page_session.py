@@ -11,8 +11,6 @@ In an output `...` is any text, as in doctest, and runs of blanks are one. `echo
 ended; without it that is to be 0. Blocks in other languages are for reading.
 """
 
-from __future__ import annotations
-
 import contextlib
 import doctest
 import io
@@ -48,12 +46,10 @@ class Block:
     line: int
 
     def value(self, key: str) -> str | None:
-        """Return VALUE of the word `key=VALUE`."""
         return next((word.partition("=")[2] for word in self.words if word.startswith(f"{key}=")), None)
 
 
 def blocks(page: Path) -> list[Block]:
-    """Return the fenced blocks of a page."""
     tokens = MarkdownIt().parse(page.read_text(encoding="utf-8"))
     return [_block(token.info.split(), token.content, token.map[0] + 1) for token in tokens if token.type == "fence"]
 
@@ -69,7 +65,6 @@ def commands(text: str) -> list[tuple[str, str]]:
 
 
 def same(expected: str, output: str) -> bool:
-    """Return whether an output is what a page says."""
     return doctest.OutputChecker().check_output(expected, output, _FLAGS)
 
 
@@ -130,7 +125,6 @@ class PageSession:
         assert any(same(expected, text) for text in seen), f"{where}: expected\n{expected}came\n{seen[1]}"
 
     def _done(self, words: list[str]) -> subprocess.CompletedProcess[str]:
-        """Run a command to its end."""
         python = executable("rx90")
         verb, *options = words[len(python) :] or [""]
         if words[: len(python)] != python or verb not in _HERE or options[:1] == ["emulator"]:

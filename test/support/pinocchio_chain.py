@@ -1,7 +1,5 @@
 """The rigid chain of a robot as Pinocchio has it: the oracle of the project's own."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

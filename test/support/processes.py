@@ -1,7 +1,5 @@
 """Run installed executables on a DDS domain of their own and end every one of them, also on failure."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import itertools
@@ -157,7 +155,6 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]
 
 @pytest.fixture
 def warm(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have processes of this Python started with the slow imports done."""
     monkeypatch.setattr(subprocess, "Popen", WarmPopen)
 
 

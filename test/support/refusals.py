@@ -1,7 +1,5 @@
 """What every file must do that is not what it should be."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

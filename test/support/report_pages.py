@@ -1,7 +1,5 @@
 """Reports in a real Chromium: what every one of them must do on a desk, on a phone, on paper, and without scripts."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -38,7 +36,6 @@ class ReportPage:
             self.faults.append(f"request of {url}")
 
     def wait(self) -> None:
-        """Wait until all plots are drawn."""
         self.page.wait_for_function(_DRAWN)
 
     def zoom(self) -> None:
@@ -63,8 +60,6 @@ class ReportPage:
 
 
 class ReportCheck:
-    """What reports are held to."""
-
     def __init__(self, browser: Any) -> None:
         self._browser = browser
 
@@ -87,7 +82,6 @@ class ReportCheck:
         report.page.context.close()
 
     def pages_of_paper(self, report: ReportPage) -> int:
-        """Return how many pages the report has as PDF."""
         pdf = report.page.pdf(format="A4")
         return len(re.findall(rb"/Type\s*/Page\b", pdf))
 

@@ -1,7 +1,5 @@
 """A rig behind a pseudo-terminal that bears a busy machine, and a link to it, both on threads of the test."""
 
-from __future__ import annotations
-
 import os
 import select
 import threading
@@ -77,7 +75,6 @@ class PatientRig(PtyRig):
 
     @contextmanager
     def standing_still(self) -> Iterator[None]:
-        """Let no time pass for the rig."""
         with self._lock:
             yield
 
@@ -119,25 +116,21 @@ class Bench:
             self.link.alive()
 
     def plug(self) -> None:
-        """Plug a rig in."""
         self.pty = PatientRig(EmulatedRig(self.rig, 1), self.path)
 
     @property
     def board(self) -> NativeBoard:
-        """Return the rig's processor."""
         board = self.pty.emulated.board
         assert isinstance(board, NativeBoard)
         return board
 
     @property
     def state(self) -> State | None:
-        """Return the rig's state as last reported."""
         client = self.link.client
         last = None if client is None else client.last
         return None if last is None else last.report.state
 
     def reset(self) -> None:
-        """Let the rig restart by itself."""
         with self.pty.standing_still():
             self.board.reset(ResetCause.WATCHDOG)
 
@@ -147,12 +140,10 @@ class Bench:
             os.write(self.pty._master, data)
 
     def listen(self, count: int) -> None:
-        """Wait for more readings."""
         heard = self.samples
         wait_until(lambda: self.samples >= heard + count, f"{count} readings")
 
     def arm(self) -> None:
-        """Arm the rig and wait until it says so."""
         self.link.submit(RigClient.arm).result(TIMEOUT)
         wait_until(lambda: self.state == State.ARMED, "an armed rig")
 
@@ -162,7 +153,6 @@ class Bench:
         self._dead.set()
 
     def close(self) -> None:
-        """End everything."""
         self.link.close()
         self.abandon()
         for thread in self._threads:

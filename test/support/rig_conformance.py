@@ -32,7 +32,6 @@ class MismatchError(AssertionError):
 
 
 def command_of(command: dict[str, Any] | str) -> tuple[Command, bytes]:
-    """Return type and payload of a command as transcripts write it."""
     if isinstance(command, str):
         return Command[command.upper()], b""
     ((name, value),) = command.items()
@@ -41,7 +40,6 @@ def command_of(command: dict[str, Any] | str) -> tuple[Command, bytes]:
 
 
 def armed(board: Any) -> Player:
-    """Return a player of a board that has been greeted and armed."""
     player = Player(board)
     player.do_greet(None)
     player.do_send("arm")
@@ -50,8 +48,6 @@ def armed(board: Any) -> Player:
 
 
 class Player:
-    """One board and what it has said."""
-
     def __init__(self, board: Any) -> None:
         self.board = board
         self.decoder = FrameDecoder()
@@ -98,25 +94,20 @@ class Player:
         return self.message
 
     def next_frame(self, command: dict[str, Any] | str) -> Frame:
-        """Return the frame of a command with the next sequence number."""
         self.sequence = (self.sequence + 1) & 0xFF
         kind, payload = command_of(command)
         return Frame(kind, self.sequence, payload)
 
     def do_send(self, command: dict[str, Any] | str) -> None:
-        """Send a command."""
         self.transmit(self.next_frame(command))
 
     def do_raw(self, value: dict[str, Any]) -> None:
-        """Send a frame of any type and length."""
         self.transmit(Frame(value["type"], value["sequence"], bytes.fromhex(value.get("payload", ""))))
 
     def do_bytes(self, value: str) -> None:
-        """Put bytes on the line."""
         self.board.write(bytes.fromhex(value))
 
     def do_again(self, _: None) -> None:
-        """Repeat the last frame."""
         self.board.write(self.message)
 
     def do_damaged(self, value: dict[str, Any]) -> None:
@@ -136,19 +127,16 @@ class Player:
         self.board.write(bytes(message))
 
     def do_greet(self, _: None) -> None:
-        """Greet the board a few milliseconds after power-up."""
         self.do_run(5)
         self.do_send({"hello": PROTOCOL_VERSION})
         self.do_run(60)
         self.do_expect({"greeted": True, "result": "OK"})
 
     def do_run(self, milliseconds: int) -> None:
-        """Let time pass without a sign of life."""
         for _ in range(milliseconds):
             self.millisecond()
 
     def do_beat(self, milliseconds: int) -> None:
-        """Let time pass with heartbeats."""
         for _ in range(milliseconds):
             if self.clock - self.beat_at >= 20:
                 self.beat_at = self.clock
@@ -162,19 +150,15 @@ class Player:
             self.do_beat(1)
 
     def do_adc(self, code: int) -> None:
-        """Set the ADC code from now on."""
         self.adc = code
 
     def do_edges(self, per_millisecond: int) -> None:
-        """Set the encoder edges per millisecond from now on."""
         self.edges = per_millisecond
 
     def do_reset(self, _: None) -> None:
-        """Reset the board."""
         self.board.reset(*[ResetCause.EXTERNAL] * isinstance(self.board, NativeBoard))
 
     def do_forget(self, _: None) -> None:
-        """Look at reports from now on only."""
         self.forgotten = len(self.reports)
 
     def do_silence(self, limits: list[int]) -> None:
@@ -188,7 +172,6 @@ class Player:
             raise MismatchError(f"the stage went off after {took} ms, DAC {self.board.dac}")
 
     def do_staircase(self, codes: list[int]) -> None:
-        """The reports must show these DAC codes in a row."""
         shown = [report.dac for report in self.reports[self.forgotten :]]
         for at in range(len(shown)):
             if shown[at : at + len(codes)] == codes:
@@ -196,13 +179,11 @@ class Player:
         raise MismatchError(f"reported {shown}")
 
     def do_pins(self, value: dict[str, Any]) -> None:
-        """The pins must show this."""
         found = {"dac": self.board.dac, "stage": self.board.stage_on}
         if found != value:
             raise MismatchError(f"pins {found}")
 
     def do_built(self, value: dict[str, Any]) -> None:
-        """The greeting must say this of how the firmware was built."""
         found = {name: getattr(self.hello, name, None) for name in value}
         if found != value:
             raise MismatchError(f"built {found}")
@@ -221,7 +202,6 @@ class Player:
             raise MismatchError(f"reported {found}, pins {self.board.dac} {self.board.stage_on}")
 
     def observed(self, report: Report) -> dict[str, Any]:
-        """Return what a transcript can expect."""
         hello = self.hello
         return {
             "state": report.state.name,

@@ -6,8 +6,6 @@
 As the real one, `topic pub --once -w COUNT` waits for as many subscriptions and goes some time after it has sent.
 """
 
-from __future__ import annotations
-
 import importlib
 import sys
 import time
@@ -20,13 +18,11 @@ _TIMEOUT = 60.0  # s
 
 
 def interface(name: str) -> Any:
-    """Return the class of `package/msg/Name` or `package/srv/Name`."""
     package, kind, one = name.split("/")
     return getattr(importlib.import_module(f"{package}.{kind}"), one)
 
 
 def filled(message: Any, values: dict[str, Any]) -> Any:
-    """Return the message with the fields that YAML gives."""
     for name, value in values.items():
         kind = message.get_fields_and_field_types()[name]
         if isinstance(value, dict):
@@ -40,7 +36,6 @@ def filled(message: Any, values: dict[str, Any]) -> Any:
 
 
 def main() -> int:
-    """Run one verb."""
     *verb, name, kind, text = sys.argv[1:]
     rclpy.init()
     node = rclpy.create_node("ros2_stand_in")

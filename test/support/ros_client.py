@@ -1,7 +1,5 @@
 """What a test asks of the running nodes: services, trajectories, the newest message of a topic."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -34,7 +32,6 @@ _AT_ONCE = 500
 
 @contextmanager
 def own_node(name: str, domain: int) -> Iterator[Node]:
-    """Give a node in a context and domain of its own."""
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     node = rclpy.create_node(name, context=context)
@@ -66,8 +63,6 @@ class _Executor(SingleThreadedExecutor):
 
 
 class Simulation(SimulationClient):
-    """All services of a simulation node."""
-
     def __init__(self, client: ClientNode) -> None:
         super().__init__(client)
         self._asking = client
@@ -86,8 +81,6 @@ class Simulation(SimulationClient):
 
 
 class Client:
-    """A node that calls services and keeps what it hears."""
-
     def __init__(self, namespace: str = "") -> None:
         self._context = Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
@@ -98,7 +91,6 @@ class Client:
         self.simulation = Simulation(self.asking)
 
     def close(self) -> None:
-        """Leave the domain."""
         self._executor.shutdown()
         self.node.destroy_node()
         self._context.try_shutdown()
@@ -140,7 +132,6 @@ class Client:
             self._executor.spin_once(timeout_sec=0.05)
 
     def enable(self, on: bool) -> None:
-        """Switch the controller's torque on or off."""
         assert self.asking.call(SetBool, "rx90_controller/enable", SetBool.Request(data=on)).success
 
     def transition(self, node: str, label: str) -> bool:
@@ -149,7 +140,6 @@ class Client:
         return bool(self.asking.call(ChangeState, f"{node}/change_state", request).success)
 
     def state(self, node: str) -> str:
-        """Return the state of a managed node."""
         return str(self.asking.call(GetState, f"{node}/get_state", GetState.Request()).current_state.label)
 
     def set_parameters(self, node: str, *, atomically: bool = False, **values: Any) -> list[str]:
@@ -174,5 +164,4 @@ class Client:
 
 
 def seconds(message: JointState) -> float:
-    """Return a message's header.stamp in s."""
     return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9

@@ -1,7 +1,5 @@
 """What a file's schema says against it, by a validator that is not the project's."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -12,6 +10,5 @@ from rx90_common.base.share import config_path
 
 
 def schema_faults(kind: str, path: Path) -> list[str]:
-    """Return what is wrong in a file by the schema of a kind."""
     schema = json.loads(config_path(f"schemas/{kind}.json").read_text(encoding="utf-8"))
     return [error.message for error in Draft202012Validator(schema).iter_errors(read_yaml(path))]

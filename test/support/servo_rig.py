@@ -1,7 +1,5 @@
 """A servo loop without ROS, ticked by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -28,19 +26,15 @@ class Surroundings:
         self.report: Callable[[], None] = lambda: None
 
     def info(self, text: str) -> None:
-        """Note a line."""
         self.lines.append(text)
 
     def error(self, text: str) -> None:
-        """Note a line."""
         self.lines.append(text)
 
     def wait_for_subscribers(self) -> None:
-        """Note the wait."""
         self.lines.append("subscribers")
 
     def publish(self, stamp_ns: int) -> None:
-        """Note when."""
         self.published.append(stamp_ns)
 
     def accepted(self, trajectory: SimpleNamespace, start_ns: int, source: str = "") -> None:
@@ -48,7 +42,6 @@ class Surroundings:
         self.taken.append((len(trajectory.points), start_ns, source))
 
     def wake(self) -> None:
-        """Report at once."""
         self.report()
 
 
@@ -65,7 +58,6 @@ class Rig:
         self.position = np.zeros(6)
 
     def states(self, tick: int) -> MotorStates:
-        """Return the states of a tick."""
         return MotorStates(tick * self.period, self.position, np.zeros(6))
 
     def run(self, first: int, count: int) -> list[bool]:
@@ -77,7 +69,6 @@ class Rig:
         return torques
 
     def goal(self, message: SimpleNamespace, client: Any) -> TrajectoryRequest:
-        """Return a trajectory as a goal with the usual tolerances and options."""
         points, tolerances = points_from_message(self.names, message), GoalTolerances.of_parameters(self.names)
         goal = TrajectoryRequest(message, points, None, tolerances, GoalOptions(), is_goal=True)
         goal.on_feedback, goal.on_result = client.on_feedback, lambda: client.on_result(goal)

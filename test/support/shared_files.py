@@ -1,7 +1,5 @@
 """Files that all workers of a run of the tests share: what takes long is made once, by whoever needs it first."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import shutil

@@ -1,7 +1,5 @@
 """A short line, so that a run takes milliseconds."""
 
-from __future__ import annotations
-
 SHORT_TASK = """
 line:
   start: [0.6, -0.3, 0.2]

@@ -1,7 +1,5 @@
 """A friction element whose torques differ by the sign of the velocity, for tests of bristles."""
 
-from __future__ import annotations
-
 from rx90_common.friction import FrictionElement
 
 ELEMENT = FrictionElement(

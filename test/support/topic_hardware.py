@@ -6,8 +6,6 @@ at its update rate. Until a controller has written a command it is NaN, as a fre
 compared with the threshold is no reason not to publish, there as here.
 """
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from typing import Any
@@ -60,7 +58,6 @@ class TopicHardware:
         self._latest = message
 
     def read(self) -> None:
-        """Take the newest message's finite numbers of known joints as states."""
         for i, name in enumerate(self._latest.name):
             for field in _FIELDS:
                 values: Any = getattr(self._latest, field)

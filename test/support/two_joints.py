@@ -41,7 +41,6 @@ class Bench:
 
     @classmethod
     def make(cls, folder: Path) -> Bench:
-        """Return two links that swing in the vertical plane."""
         urdf = folder / "arm.urdf"
         urdf.write_text(urdf_text(NAMES, ["0 1 0", "0 1 0"], [5.0, 3.0]), encoding="utf-8")
         return cls(folder, urdf, pin.buildModelFromXML(urdf.read_text(encoding="utf-8")))
@@ -62,9 +61,7 @@ class Bench:
 
     @staticmethod
     def noise(motion: tuple[Array, Array], seed: int) -> Array:
-        """Return white noise of the torques of a motion."""
         return NOISE * np.random.default_rng(seed).normal(size=motion[0].shape)
 
     def identify(self, *words: object) -> int:
-        """Run the command."""
         return run("rx90 identify", [str(word) for word in (*words, "--urdf", self.urdf)])

@@ -1,7 +1,5 @@
 """Models with values that no file could have, past all checks."""
 
-from __future__ import annotations
-
 from typing import Any, TypeVar
 
 from rx90_common.base.models import Model

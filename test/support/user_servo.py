@@ -1,7 +1,5 @@
 """A controller of a user: P-D with rclpy, set-points by stamp from a JointState topic; argument: motor or joint."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from typing import Any
@@ -41,7 +39,6 @@ class UserServo(Node):
         self.references[self.nanoseconds(message)] = point
 
     def answer(self, states: JointState) -> None:
-        """Command torques for one tick."""
         now = self.nanoseconds(states) // 1_000_000 * 1_000_000
         for stamp in [stamp for stamp in self.references if stamp < now]:
             del self.references[stamp]
@@ -58,7 +55,6 @@ class UserServo(Node):
 
     @staticmethod
     def nanoseconds(message: JointState) -> int:
-        """Return the stamp."""
         return int(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
 
 

@@ -12,8 +12,6 @@ sweep/test_execution.py, test_packaging.py); a recorder that is stopped in its i
 common frame (cli/test_nodes.py). A new test of an import, of the first second or of Python's own start belongs there.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import gc
@@ -102,8 +100,6 @@ class WarmPopen(subprocess.Popen[Any]):
 
 
 class _Server:
-    """The process that has done the imports."""
-
     def __init__(self) -> None:
         self._connection, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         command = [sys.executable, "-u", __file__, str(theirs.fileno()), *MODULES]
@@ -183,7 +179,6 @@ def _load_kernels() -> None:
 
 
 def _become(request: dict[str, Any], streams: Sequence[int]) -> None:
-    """Take over what makes this process the one that was asked for."""
     if request["own_session"]:
         os.setsid()
     for number, stream in enumerate(streams):
@@ -197,7 +192,6 @@ def _become(request: dict[str, Any], streams: Sequence[int]) -> None:
 
 
 def _run(words: list[str]) -> None:
-    """Run what stands behind `python` in a command line."""
     if words[0] == "-m":
         sys.argv = words[1:]
         runpy.run_module(words[1], run_name="__main__", alter_sys=True)

@@ -1,7 +1,5 @@
 """The verdict on two bags, and its figures."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace
@@ -23,25 +21,21 @@ from rx90_emulator.loop.run_messages import trajectory_message
 
 
 def compared(a: JointSeries, b: JointSeries, *rules: str, **scope: Any) -> TopicComparison:
-    """Compare two series with tolerances as on the command line."""
     return compare_series(a, b, Tolerances(*rules), Scope(**scope))
 
 
 def changed(source: JointSeries, row: int, column: int, value: float, field: str = "position") -> JointSeries:
-    """Return a copy in which one number is another."""
     values = source.fields[field].copy()
     values[row, column] = value
     return replace(source, **{field: values})
 
 
 def joined(*parts: JointSeries) -> JointSeries:
-    """Return the messages of several series one after the other."""
     fields = {f: np.concatenate([p.fields[f] for p in parts]) for f in parts[0].fields}
     return JointSeries(parts[0].topic, parts[0].names, np.concatenate([p.stamp_ns for p in parts]), **fields)
 
 
 def value_of(result: TopicComparison, joint: str, field: str) -> Any:
-    """Return the difference of a joint's field."""
     return next(v for v in result.values if (v.joint, v.field) == (joint, field))
 
 

@@ -1,7 +1,5 @@
 """Logs in columns become bags, and bags tables: units, dialects, times, damaged rows, every bit."""
 
-from __future__ import annotations
-
 import csv
 from datetime import datetime, timezone
 from decimal import Decimal
@@ -39,20 +37,17 @@ BLANKS = "delimiter: space\n"
 
 
 def write(path: Path, text: str, encoding: str = "utf-8") -> Path:
-    """Write a file."""
     path.write_text(text, encoding=encoding)
     return path
 
 
 def imported(folder: Path, mapping: str, log: str, encoding: str = "utf-8") -> JointSeries:
-    """Return what a log holds."""
     chosen = LogMapping.load(write(folder / "mapping.yaml", mapping))
     (series,) = read_log(write(folder / "log.csv", log, encoding), chosen)
     return series
 
 
 def rows(delimiter: str, decimal: str = ".", end: str = "") -> str:
-    """Return times and positions as text."""
     table = np.column_stack([TIME, POSITION])
     return "\n".join(delimiter.join(str(x).replace(".", decimal) for x in row) + end for row in table)
 

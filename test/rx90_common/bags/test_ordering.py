@@ -1,7 +1,5 @@
 """Log time and order of recorded messages."""
 
-from __future__ import annotations
-
 from itertools import groupby
 from typing import Any, NamedTuple
 
@@ -17,14 +15,11 @@ LIST_OF_ONE = b"\x00\x01\x00\x00\x01\x00\x00\x00"  # encapsulation and length
 
 
 def message(stamp: int) -> bytes:
-    """Return a CDR message that begins with a stamp."""
     seconds, nanoseconds = divmod(stamp, 1_000_000_000)
     return b"\x00\x01\x00\x00" + seconds.to_bytes(4, "little") + nanoseconds.to_bytes(4, "little")
 
 
 class Entry(NamedTuple):
-    """A message that was released."""
-
     log_ns: int
     topic: int
     message: bytes
@@ -38,7 +33,6 @@ def entries(dated: Dated | None) -> list[Entry]:
 
 
 def clock(topic: int) -> Source:
-    """Return the source of a topic that gives the time."""
     return Source(topic, HEADER_STAMP, gives_time=True)
 
 

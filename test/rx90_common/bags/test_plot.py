@@ -1,7 +1,5 @@
 """`rx90 bag plot`: what is drawn without options, of chosen topics and joints, and of two bags."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -44,12 +42,10 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def labels(figures: Sequence[figure]) -> list[str]:
-    """Return the labels of the y axes."""
     return [shown.yaxis.axis_label.text for shown in figures]
 
 
 def names(shown: figure) -> list[str]:
-    """Return the names of a figure's lines."""
     return [line.name for line in shown.renderers]
 
 

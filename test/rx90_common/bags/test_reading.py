@@ -1,7 +1,5 @@
 """Joint states of any bag as arrays, and the summary of a bag."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

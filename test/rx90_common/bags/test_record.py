@@ -1,7 +1,5 @@
 """The recorder as a process of its own, on real DDS, and types that are none of the common interfaces."""
 
-from __future__ import annotations
-
 import re
 import signal
 import subprocess
@@ -61,7 +59,6 @@ class Process:
         self._limit.start()
 
     def wait_for(self, beginning: str) -> str:
-        """Return the next line of standard output that begins so."""
         for line in self.child.stdout or ():
             if line.startswith(beginning):
                 return line
@@ -104,7 +101,6 @@ def record(start: Start, output: Path, *arguments: str, ready: int = 0, **option
 
 @pytest.fixture
 def node(ros_domain: int) -> Iterator[Node]:
-    """Return a node in the domain of the test."""
     prepare()
     with own_node("publisher", ros_domain) as node:
         yield node

@@ -1,7 +1,5 @@
 """Parts of the recorder: counts by sequence numbers, takes from the middleware, and the end of a recording."""
 
-from __future__ import annotations
-
 import time
 from functools import partial
 from typing import Any
@@ -63,12 +61,10 @@ def test_a_publisher_that_goes_on_is_read_up_to_the_end_that_was_asked_for(
 
 
 def lost(counter: SequenceCounter) -> int:
-    """Return how many messages are missing."""
     return sum(writer.lost for writer in counter.writers)
 
 
 def received(counter: SequenceCounter) -> int:
-    """Return how many messages came."""
     return sum(writer.received for writer in counter.writers)
 
 

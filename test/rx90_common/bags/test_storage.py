@@ -1,7 +1,5 @@
 """Bags as they lie on the disk: of others, compressed, in parts, cut off, damaged; read whole, or refused in a line."""
 
-from __future__ import annotations
-
 import faulthandler
 import os
 import shutil
@@ -31,8 +29,6 @@ Damage = Callable[[Path], object]
 
 
 def metadata(change: Callable[[dict[str, Any]], object]) -> Damage:
-    """Return what changes metadata.yaml."""
-
     def edit(bag: Path) -> None:
         path = bag / "metadata.yaml"
         content = yaml.safe_load(path.read_text())
@@ -43,17 +39,14 @@ def metadata(change: Callable[[dict[str, Any]], object]) -> Damage:
 
 
 def topic_of(content: dict[str, Any]) -> Any:
-    """Return what the metadata say of the first topic."""
     return content["topics_with_message_count"][0]
 
 
 def text(content: bytes) -> Damage:
-    """Return what writes this into metadata.yaml."""
     return lambda bag: (bag / "metadata.yaml").write_bytes(content)
 
 
 def truncate(share: float) -> Damage:
-    """Return what cuts the storage file to this share of its length."""
     return lambda bag: os.truncate(bag / "bag.mcap", int(share * (bag / "bag.mcap").stat().st_size))
 
 
@@ -144,7 +137,6 @@ Messages = list[tuple[str, int, bytes]]
 
 
 def read_all(path: Path) -> Messages:
-    """Return all messages as this project reads them."""
     with BagReader(path) as bag:
         return sorted((topic.name, log_ns, data) for topic, log_ns, data in bag.messages(bag.topics))
 
@@ -235,7 +227,6 @@ def write_mcap(path: Path, compression: CompressionType, index: IndexType) -> No
 
 
 def undamaged(folder: Path, kind: str) -> Path:
-    """Write a bag of this kind."""
     folder.mkdir()
     if kind in ("mcap", "sqlite3"):
         return write_ros2(folder / "bag", [("/x", i, joint_state(i, ["a"], [1.0])) for i in range(20)], kind)

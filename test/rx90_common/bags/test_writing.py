@@ -1,7 +1,5 @@
 """Bags that are written: what others read of them, byte by byte, names, and what stays when writing fails."""
 
-from __future__ import annotations
-
 import errno
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files of configuration: how YAML is read and written, what is refused, and where files are found."""
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from collections.abc import Callable
@@ -20,15 +18,11 @@ from rx90_common.base.models import FileModel, read_model
 
 
 class Measured(FileModel):
-    """A file with a number."""
-
     x: float
 
 
 @pytest.fixture
 def write(tmp_path: Path) -> Callable[[str | bytes], Path]:
-    """Return a function that writes a file."""
-
     def make(text: str | bytes) -> Path:
         path = tmp_path / "file.yaml"
         path.write_bytes(text if isinstance(text, bytes) else text.encode())

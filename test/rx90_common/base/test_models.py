@@ -12,22 +12,16 @@ from rx90_common.base.models import FileModel, Row, fault_lines, quantity, read_
 
 
 class Slip(FileModel):
-    """A kind of bristles."""
-
     kind: Literal["slip"]
     share: Annotated[Row, Field(min_length=1, max_length=2)]
 
 
 class Plastic(FileModel):
-    """Another kind."""
-
     kind: Literal["plastic"]
     break_away: Annotated[float, quantity("1", "Break-away.", ge=0.0, le=0.9)]
 
 
 class Bristle(FileModel):
-    """A bristle."""
-
     stiffness: Annotated[float, quantity("Nm/rad", "Stiffness.", gt=0.0)]
     damping: Annotated[float, quantity("Nm s/rad", "Damping.", ge=0.0)] = 0.5
     kind: Annotated[Slip | Plastic, Field(discriminator="kind")] | None = None

@@ -1,7 +1,5 @@
 """Text from outside in a message."""
 
-from __future__ import annotations
-
 import unicodedata
 from ast import literal_eval
 

@@ -1,7 +1,5 @@
 """Rates of the loops, and stamps of messages."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """The blocks of a drives file: cogging, windings, current sensors, elasticity; read, refused, off by default."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Pose, Jacobian, bias acceleration, inverse kinematics, singularity margins and path error."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

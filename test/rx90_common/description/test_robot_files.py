@@ -1,7 +1,5 @@
 """The files of a robot, by their folder or one by one, and where their values come from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -21,7 +19,6 @@ from rx90_common.description.robot_files import (
 
 
 def folder_with(folder: Path, *roles: str) -> Path:
-    """Make a folder with empty files of these roles."""
     folder.mkdir()
     for role in roles:
         (folder / FILES[role]).write_text("", encoding="utf-8")

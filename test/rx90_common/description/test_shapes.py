@@ -1,7 +1,5 @@
 """Shapes and collision geometry of the shipped robots by Pinocchio's checker, and what MoveIt is given of them."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import xml.etree.ElementTree as ET
@@ -27,19 +25,16 @@ POSES = 800
 
 @pytest.fixture(scope="module", params=shipped_robots())
 def setup(request: pytest.FixtureRequest) -> Setup:
-    """Return each shipped robot."""
     return Setup.load(RobotFiles.named(request.param))
 
 
 @pytest.fixture(scope="module")
 def folder(setup: Setup) -> Path:
-    """Return the robot's folder of files for MoveIt."""
     return setup.files.urdf.parent / "moveit"
 
 
 @pytest.fixture(scope="module")
 def semantic(folder: Path) -> ET.Element:
-    """Return the root of the SRDF."""
     return ET.parse(folder / "robot.srdf").getroot()
 
 
@@ -77,7 +72,6 @@ class Shapes:
         return {pair for pair in pairs if len(pair) == 2}
 
     def overlapping(self, position: Any) -> set[frozenset[str]]:
-        """Return those pairs of touching links that are no neighbours."""
         return {pair for pair in self.touching(position) if np.ptp([self.joints[link] for link in pair]) > 1}
 
 

@@ -1,7 +1,5 @@
 """The shipped robots against what is published of them."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -127,7 +125,6 @@ ROTOR = (0.362, 0.507, 0.0829, 0.0341, 0.0361, 0.0114)
 
 
 def frames(q: Array) -> list[tuple[Array, Array]]:
-    """Return rotation and origin of each DH frame in the one before it."""
     found = []
     for i in range(6):
         c, s, ca, sa = math.cos(q[i] + THETA[i]), math.sin(q[i] + THETA[i]), math.cos(ALPHA[i]), math.sin(ALPHA[i])
@@ -239,7 +236,6 @@ READY = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 
 @pytest.fixture(scope="module")
 def panda() -> Setup:
-    """Return the shipped Panda."""
     return Setup.load(RobotFiles.named("panda"))
 
 

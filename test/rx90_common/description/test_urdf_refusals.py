@@ -1,7 +1,5 @@
 """A URDF or a tool file that is not a usable arm is refused in one line that names the culprit."""
 
-from __future__ import annotations
-
 import re
 import resource
 import socket

@@ -1,7 +1,5 @@
 """The rigid arm in compiled code against Pinocchio and against the published check values."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable
@@ -20,7 +18,6 @@ Array = NDArray[np.float64]
 
 
 def compiled(setup: Setup, q: Array, v: Array) -> tuple[Array, Array]:
-    """Return M and h as the plant computes them."""
     plant = setup.plant()
     mass, bias = np.empty((6, 6)), np.empty(6)
     mass_and_bias(plant.constants[0]["arm"], plant.state[0]["body"], q, v, mass, bias)
@@ -28,7 +25,6 @@ def compiled(setup: Setup, q: Array, v: Array) -> tuple[Array, Array]:
 
 
 def inverse(setup: Setup, q: Array, v: Array, a: Array) -> Array:
-    """Return the compiled inverse dynamics."""
     body, torque = np.zeros(1, body_dtype(6)), np.empty(6)
     arm = manipulator_record(setup.robot.chain, setup.drives)
     inverse_dynamics(arm[0], body[0], q, v, a, torque)

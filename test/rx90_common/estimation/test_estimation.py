@@ -1,7 +1,5 @@
 """Fits, deviations and choices of laws on synthetic rows whose truth is known."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -49,7 +47,6 @@ def sweeps(
 
 
 def element(**changes: float) -> FrictionElement:
-    """Return an element with some other numbers."""
     numbers = {"tau_c": 5.0, "tau_s": 6.5, "omega_s": 0.1, "delta": 1.0, "c0": 1e5, "c1": 10.0, "c2": 3.0}
     return FrictionElement.of({**numbers, **changes})
 

@@ -1,7 +1,5 @@
 """The JointState codec against the serialisers of rclpy and rosbags."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -46,7 +44,6 @@ def rosbags_bytes(names, frame_id, stamp_ns, arrays, *, little_endian=True):
 
 
 def assert_same(decoded, stamp_ns, arrays):
-    """Compare a decoded message bit for bit."""
     assert decoded[0] == stamp_ns
     for got, expected in zip(decoded[1:], arrays, strict=True):
         if expected is None:
@@ -103,7 +100,6 @@ def test_damaged_bytes_never_pass_silently_or_crash(at, damage, length):
 
 
 def encoded(names=MOTORS, arrays=None):
-    """Return a message that a foreign publisher could send."""
     return rosbags_bytes(names, "", 0, (None, None, np.ones(6)) if arrays is None else arrays)
 
 

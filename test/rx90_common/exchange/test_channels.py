@@ -1,7 +1,5 @@
 """Channels between processes and within one, on real DDS in one process; one publisher for each tick topic."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import signal

@@ -1,7 +1,5 @@
 """The simulation's side of lock-step on a channel made by hand, with a clock made by hand."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 
@@ -18,7 +16,6 @@ CODEC = JointStateCodec(["a"])
 
 
 def message(tick: int, value: float = 0.0) -> bytes:
-    """Return a message stamped with a tick."""
     return CODEC.encode(tick * PERIOD, *[np.array([value])] * 3)
 
 
@@ -52,7 +49,6 @@ class Controller:
         return True
 
     def publish(self, raw: bytes) -> None:
-        """Note what is sent."""
         self.sent.append(raw)
 
     def receive(self, timeout_s: float) -> bytes | None:
@@ -63,7 +59,6 @@ class Controller:
         return self.inbox.popleft() if self.inbox else None
 
     def matches(self) -> Matches:
-        """Return the peers."""
         return self.peers
 
     def exchange(self, tick: int, interrupted: Callable[[], bool] = lambda: False) -> bytes | None:
@@ -73,7 +68,6 @@ class Controller:
 
 @pytest.fixture
 def controller(monkeypatch: pytest.MonkeyPatch) -> Controller:
-    """Return a controller whose clock is also the lock-step's."""
     controller = Controller()
     monkeypatch.setattr(lockstep.time, "monotonic", lambda: 50.0 + controller.passed)
     return controller

@@ -1,7 +1,5 @@
 """What `prepare` sets and leaves alone; control_msgs: what is said where it is missing, and its types over DDS."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import subprocess
@@ -29,7 +27,6 @@ def environment(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
 
 
 def now() -> dict[str, str]:
-    """Return the variables that are set."""
     return {name: os.environ[name] for name in NAMES if name in os.environ}
 
 

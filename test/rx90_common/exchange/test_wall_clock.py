@@ -1,7 +1,5 @@
 """The pacer, throttled lines and waits for listeners against a clock made by hand; what the simulation says of time."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -23,11 +21,9 @@ class Clock:
         self.slept = 0
 
     def read(self) -> float:
-        """Return the time."""
         return self.now
 
     def sleep(self, seconds: float) -> None:
-        """Let the time pass."""
         assert seconds > 0.0
         self.slept += 1
         self.now += seconds + self.oversleep
@@ -117,14 +113,11 @@ def test_a_kind_of_line_comes_at_once_and_then_with_a_count() -> None:
 
 
 class Topic:
-    """A publisher whose messages arrive a while after somebody waits for it."""
-
     def __init__(self, slowness: float) -> None:
         self.slowness, self.now, self.sent, self.most = slowness, 0.0, 0, 0
         self.arrived_at: float | None = None
 
     def get_subscription_count(self) -> int:
-        """Return that somebody listens."""
         return 1
 
     def wait_for_all_acked(self, timeout: object) -> bool:

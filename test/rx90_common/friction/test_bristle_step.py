@@ -1,7 +1,5 @@
 """The bristle: its sliding curve, exact steps at constant velocity, second order otherwise, passive, never NaN."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise

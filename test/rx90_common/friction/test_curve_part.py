@@ -1,7 +1,5 @@
 """The part `curve`: the sliding torque of a table, against SciPy's PCHIP and a solution of equations 17 and 18."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from typing import Any
@@ -29,7 +27,6 @@ OTHER = {"velocity": [0.02, 0.2, 1.0], "torque": [20.0, 18.0, 18.0]}
 
 
 def curve(positive: dict[str, Any] = STRIBECK, negative: dict[str, Any] = OTHER) -> CurvePart:
-    """Return a part with other tables for the signs."""
     return CurvePart.model_validate({"positive": positive, "negative": negative})
 
 

@@ -1,7 +1,5 @@
 """Elements as compiled code has them, side by side, and the bristle that follows the load below break-away."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numba

@@ -1,7 +1,5 @@
 """The friction file: what is refused, in which words, and what is warned of."""
 
-from __future__ import annotations
-
 import math
 import pickle
 import warnings
@@ -29,7 +27,6 @@ ELEMENTS = (*NAMES, "joint_5_6")
 
 
 def refusal(path: Path) -> str:
-    """Return the one line with which the file is refused."""
     return refusal_by(lambda file: load_friction(file, RX_WRIST.element_names(NAMES)), path)
 
 
@@ -70,7 +67,6 @@ WAVE = {"motor_harmonic": [2], "motor_amplitude": [0.1]}
 
 
 def waves(*amplitudes: float) -> dict[str, Any]:
-    """Return a ripple of the joint's angle."""
     return {"joint_harmonic": [1] * len(amplitudes), "joint_amplitude": [*amplitudes]}
 
 

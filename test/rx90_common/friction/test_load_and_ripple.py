@@ -1,7 +1,5 @@
 """The load part and the ripple: torques in closed form, the torque that is followed, and what parts do to energy."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,7 +18,6 @@ NAMES = {LoadPart: "load", RipplePart: "ripple", ScatterPart: "scatter", Tempera
 
 
 def any_load(rng: np.random.Generator) -> LoadPart:
-    """Return a load part with all its coefficients drawn."""
     shares = zip(
         LoadPart.model_fields, [0.0] * 3 + [*rng.uniform(0.0, 0.5, 4), *rng.uniform(0.0, 0.01, 2)], strict=False
     )

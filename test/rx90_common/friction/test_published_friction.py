@@ -7,8 +7,6 @@ UR10E_parameters.txt; unisa-acg/inverse-dynamics-solver 41e196de (BSD-3-Clause),
 Rhoban/bam 1b5a1cee (Apache-2.0), bam/params.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -274,12 +272,10 @@ WITHIN = {("tx40_gautier", "joint_6"): 0.35} | {("panda_gaz", f"panda_joint{k}")
 
 @pytest.fixture(params=LIBRARY, ids=lambda path: path.stem)
 def file(request: pytest.FixtureRequest) -> FrictionFile:
-    """Return a file of the library."""
     return FrictionFile.read(request.param)
 
 
 def stated(file: FrictionFile, *keys: str) -> dict[str, Any]:
-    """Return a block of what is stated of the identification."""
     found: Any = file.identification
     for key in keys:
         found = found[key]

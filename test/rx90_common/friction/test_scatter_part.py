@@ -1,7 +1,5 @@
 """The scatter: statistics of the walk, its seed, its bound."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

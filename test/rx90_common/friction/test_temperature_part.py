@@ -1,7 +1,5 @@
 """The temperature part: its law in closed form, and its thermal node against analytic answers and a solver."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -44,7 +42,6 @@ def friction(element: FrictionElement, temperature: float, velocity: float) -> f
 
 
 def sliding(velocity: Array | float, steps: int) -> Array:
-    """Return a motion at constant velocities without load."""
     still = np.zeros(7)
     return np.broadcast_to(np.array([still, still + velocity, still]), (steps, 3, 7))
 

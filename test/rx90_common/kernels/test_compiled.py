@@ -1,7 +1,5 @@
 """The cache of compiled kernels never serves stale code, and compilation is announced."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -35,7 +33,6 @@ def start(program: str, folder: Path, **variables: str) -> subprocess.Popen[str]
 
 
 def said(running: subprocess.Popen[str]) -> tuple[str, str]:
-    """Return standard output and error of a program once it has ended well."""
     out, err = running.communicate(timeout=TIMEOUT)
     assert running.returncode == 0, err
     return out, err
@@ -90,7 +87,6 @@ def test_what_kernels_take_from_elsewhere_is_in_the_name_of_the_cache() -> None:
 
 @pytest.fixture
 def one_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Return a kernel that is compiled into a cache of its own."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
 
     @kernel

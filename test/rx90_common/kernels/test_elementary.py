@@ -1,7 +1,5 @@
 """Lanes, and their exponential, sine, cosine and power: accurate, the same as of floats, on every processor."""
 
-from __future__ import annotations
-
 import ast
 import math
 import operator
@@ -66,7 +64,6 @@ def in_lanes(x: Array, out: Array) -> None:
 
 @numba.njit
 def one_by_one(x: Array, out: Array) -> None:
-    """Write the same for one float at a time."""
     for i in range(x.size):
         out[0, i] = exponential(-abs(x[i]))
         out[1, i], out[2, i] = sine_cosine(x[i])
@@ -350,7 +347,6 @@ PAGE = ROOT / "docs/explanation/kernels.md"
 
 @pytest.fixture
 def example(tmp_path: Path) -> Path:
-    """Return a file that holds the page's code."""
     (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     file = tmp_path / "example.py"
     file.write_text(code)

@@ -1,7 +1,5 @@
 """Child processes and the fixture that starts them: what is started is ended, gives way, leaves nothing behind."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

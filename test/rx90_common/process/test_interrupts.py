@@ -1,7 +1,5 @@
 """Ctrl-C is neither lost nor raised where a program cannot take it."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import time

@@ -1,7 +1,5 @@
 """Tools whose standard output cannot be written."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Plots, what is drawn of curves and how, and the frame that all reports share."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """rx90 config: what is wrong in files, what a setup comes to, and completion in a real shell."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess
@@ -27,17 +25,14 @@ REFERENCE = Path(__file__).resolve().parents[2] / "reference/reference_task"
 
 @pytest.fixture
 def arm(tmp_path: Path) -> Path:
-    """Return a copy of a robot folder."""
     return Path(shutil.copytree(config_path("robots/rx90b"), tmp_path / "arm"))
 
 
 def show(robot: str, rig: str = "rig/gm8224.yaml") -> dict[str, ShownValue]:
-    """Return the values of a robot and a rig by their names."""
     return {one.name: one for one in (*robot_values(RobotFiles.named(robot)), *rig_values(rig))}
 
 
 def edited(path: Path, *changes: tuple[str, str]) -> None:
-    """Replace texts in a file."""
     text = path.read_text(encoding="utf-8")
     for old, new in changes:
         assert old in text
@@ -46,7 +41,6 @@ def edited(path: Path, *changes: tuple[str, str]) -> None:
 
 
 def line_of(path: Path, text: str) -> int:
-    """Return the line on which a text stands."""
     return 1 + next(i for i, line in enumerate(path.read_text("utf-8").splitlines()) if text in line)
 
 

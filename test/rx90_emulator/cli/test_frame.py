@@ -1,7 +1,5 @@
 """The frame of the executables: at once there, one line for what is wrong, and the same exit codes everywhere."""
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import math
@@ -22,7 +20,6 @@ from rx90_emulator.cli.options import CommandParser, command_of, split_ros_args
 
 
 def actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
-    """Yield the options of a parser and of its verbs."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for verb in action.choices.values():
@@ -78,7 +75,6 @@ def test_wrong_usage_is_a_line_and_the_exit_code(words: str, said: str) -> None:
 
 @pytest.fixture(scope="module")
 def options() -> dict[str, list[argparse.Action]]:
-    """Return the arguments of every command and its verbs."""
     found = {}
     for name in COMMANDS:
         parser, _ = command_of(name)

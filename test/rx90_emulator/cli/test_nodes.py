@@ -1,7 +1,5 @@
 """Executables that end early: nodes by signals and mistakes, and all where a package is missing or broken."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -60,14 +58,12 @@ sys.exit(frame.execute("stub"))
 
 @pytest.fixture
 def start(tmp_path: Path, ros_domain: int, start_apart: Start) -> Start:  # noqa: ARG001 - a domain of its own
-    """Return a function that starts the stub with arguments."""
     (tmp_path / "stub_node.py").write_text(NODE, encoding="utf-8")
     environment = dict(os.environ, PYTHONPATH=f"{ROOT}:{tmp_path}")
     return lambda *arguments: start_apart(sys.executable, "-c", RUN, *arguments, env=environment)
 
 
 def read_until(process: subprocess.Popen[str], line: str) -> None:
-    """Read lines up to this one."""
     assert process.stdout is not None
     assert any(read == f"{line}\n" for read in process.stdout)
 

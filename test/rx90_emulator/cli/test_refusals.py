@@ -1,7 +1,5 @@
 """What commands cannot do: one line that says what is accepted, and nothing is made."""
 
-from __future__ import annotations
-
 import shlex
 from dataclasses import replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 An independent validator of the schema says what is wrong; the model must refuse it, and name the place first.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 import math
@@ -73,7 +71,6 @@ def places(content: Any, place: Place = ()) -> Iterator[Place]:
 
 
 def holder(content: Any, place: Place) -> Any:
-    """Return the mapping or list that holds the value at a place."""
     for key in place[:-1]:
         content = content[key]
     return content

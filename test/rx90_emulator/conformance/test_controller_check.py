@@ -1,7 +1,5 @@
 """The command rx90 check, with the CS7B's node and with another controller, and what it measures."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
@@ -37,7 +35,6 @@ def checked(folder: Path, *words: object) -> tuple[int, dict[str, Any]]:
 
 @pytest.fixture
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shorten the time before the motion."""
     for module in (battery, bench, case, metrics):
         monkeypatch.setattr(module, "START", 0.2)
 
@@ -122,7 +119,6 @@ def test_an_interrupted_check_leaves_no_controller(processes: Processes, tmp_pat
 
 @pytest.fixture
 def nominal(shipped: Setup, tmp_path: Path) -> Nominal:
-    """Return what cases are made of."""
     return Nominal(shipped, tmp_path)
 
 
@@ -135,7 +131,6 @@ def record_of(case: Case, position: Array) -> Record:
 
 
 def beyond(findings: list[Finding]) -> set[str]:
-    """Return the quantities that exceed their limits."""
     return {row.quantity for row in findings if row.value > row.limit}
 
 

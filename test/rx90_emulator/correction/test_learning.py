@@ -1,7 +1,5 @@
 """Corrections are learned as the theory says, are safe, and are refused elsewhere; the linearised arm."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a target cannot hold is fitted, and its cost said, and what it can is copied, for each target."""
 
-from __future__ import annotations
-
 import math
 import re
 import sys
@@ -191,7 +189,6 @@ def test_no_controller_is_needed(tmp_path: Path) -> None:
 
 
 def one_file(setup: Setup, target: str) -> str:
-    """Return the text of the file that a target gets."""
     (text,) = rx.export_robot(setup, target).files.values()
     return text
 
@@ -252,7 +249,6 @@ def test_sdf_has_the_same_chain(robot: Setup) -> None:
 
 @pytest.fixture
 def isaac(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replace Isaac Lab's class."""
     package, actuators = ModuleType("isaaclab"), ModuleType("isaaclab.actuators")
     actuators.ImplicitActuatorCfg = SimpleNamespace  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "isaaclab", package)

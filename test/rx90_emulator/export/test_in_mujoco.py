@@ -1,7 +1,5 @@
 """The exported arm in MuJoCo, an independent implementation of arm and LuGre friction, beside the engine."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Sweeps with known friction for the tests of the identification."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
@@ -26,7 +24,6 @@ Sweeps = Callable[..., tuple[JointRecord, FrictionSet]]
 
 @pytest.fixture(scope="session")
 def arm(shipped: Setup) -> RigidArm:
-    """Return the rigid model of the shipped arm."""
     return RigidArm.from_setup(shipped)
 
 
@@ -80,7 +77,6 @@ def identified(series: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[
 
 @pytest.fixture(scope="session")
 def hinge(tmp_path_factory: pytest.TempPathFactory) -> Hinge:
-    """Return the joint with its files."""
     return make_hinge(tmp_path_factory.mktemp("hinge"))
 
 

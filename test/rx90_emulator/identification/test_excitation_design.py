@@ -1,7 +1,5 @@
 """Planned excitation runs: within every limit, better than random ones, the same again, recognised when recorded."""
 
-from __future__ import annotations
-
 import io
 import xml.etree.ElementTree as ET
 from contextlib import redirect_stdout
@@ -302,13 +300,11 @@ def _plan(*words: str) -> int:
 
 @pytest.fixture(scope="module")
 def urdf(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the description of an arm of seven joints with a gripper."""
     return write_urdf(tmp_path_factory.mktemp("arm"), continuous=True)
 
 
 @pytest.fixture(scope="module")
 def motions(urdf: Path) -> Path:
-    """Return the folder of a short plan's files."""
     folder = urdf.parent / "motions"
     with redirect_stdout(io.StringIO()) as said:
         assert _plan("--urdf", str(urdf), *ARM, *SHORT, "--output", str(folder), "--rate", "250") == DONE

@@ -1,7 +1,5 @@
 """The planned motions: within the arm's limits, separating the elements, run into bags; the complete path on nodes."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal
@@ -257,6 +255,5 @@ def check_against_the_engine(bag: Path, run: Experiment, setup: Setup) -> None:
 
 
 def interrupt_once(bag: Path) -> None:
-    """Send this process a Ctrl-C as soon as a bag is there."""
     wait_until(bag.exists, "the last bag")
     os.kill(os.getpid(), signal.SIGINT)

@@ -1,7 +1,5 @@
 """Bags of other robots through the command: single joint, three joints on motors, coupled wrist."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -41,7 +39,6 @@ def identified(arguments: Sequence[object], output: Path, capsys: pytest.Capture
 
 
 def signal_map(folder: Path, **keys: object) -> list[object]:
-    """Return the option of a signal map with these keys."""
     file = folder / "signals.yaml"
     file.write_text(yaml.safe_dump(keys), encoding="utf-8")
     return ["--signals", file]

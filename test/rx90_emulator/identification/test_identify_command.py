@@ -1,7 +1,5 @@
 """`rx90 identify` on a single joint: what a user does wrong, a file that is checked, assumed bristles, interrupts."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -38,7 +36,6 @@ Change = Callable[[Hinge, Path], list[object]]
 
 
 def options(*words: object) -> Change:
-    """Return options beside those of the good bag."""
     return lambda hinge, _: ["sliding", hinge.bag, *words]
 
 
@@ -55,7 +52,6 @@ def sliding(rows: Any = slice(None), header: bool = True, **changed: Callable[[H
 
 
 def existing(option: str, name: str) -> Change:
-    """Return the option of a file that is there."""
     return lambda hinge, folder: ["sliding", hinge.bag, option, filled(folder / name, "mine")]
 
 
@@ -69,7 +65,6 @@ def filled(path: Path, text: str = "") -> Path:
 
 
 def mimicking(hinge: Hinge, folder: Path) -> list[object]:
-    """Return the option of a URDF in which a second joint mimics the first."""
     head, tail = urdf_text(["hinge", "jaw"], ["0 1 0", "0 1 0"], [2.0, 1.0]).rsplit("</joint>", 1)
     return ["sliding", hinge.bag, "--urdf", filled(folder / "m.urdf", f'{head}<mimic joint="hinge"/></joint>{tail}')]
 
@@ -93,7 +88,6 @@ REFUSED_CASES = {
 
 
 def everything(folder: Path) -> dict[Path, bytes]:
-    """Return all files below a folder."""
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
@@ -114,7 +108,6 @@ def test_a_mistake_is_one_line(hinge: Hinge, tmp_path: Path, capfd: pytest.Captu
 
 
 def checked(hinge: Hinge, *words: object) -> int:
-    """Run the command with the joint's URDF."""
     return run("rx90 identify", [str(word) for word in (*words, "--urdf", hinge.urdf)])
 
 

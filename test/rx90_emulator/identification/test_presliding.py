@@ -1,7 +1,5 @@
 """c0 and c1: known in, known out, and what is not identifiable is reported as such."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +30,6 @@ FOURTH = 3  # joint 4: its index, and its element's
 
 
 def oscillated(setup: Setup, groups: Sequence[str]) -> list[Any]:
-    """Run presliding experiments of groups on the engine."""
     heavy = not set(groups) <= set(WRIST)
     options = PlanOptions(
         groups=tuple(groups),
@@ -144,7 +141,6 @@ def test_corrupted_records_give_the_same_bristles(
 
 
 def heavier(arm: RigidArm) -> RigidArm:
-    """Return an arm whose inertias are twice as large."""
     model = arm.model.copy()
     for body in list(model.inertias)[1:]:
         body.mass, body.inertia = 2.0 * body.mass, 2.0 * body.inertia

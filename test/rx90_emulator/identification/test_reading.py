@@ -1,7 +1,5 @@
 """Bags of this project and of other robots become joint-side records, or one line of refusal."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 from pathlib import Path
@@ -39,7 +37,6 @@ def motion(count: int = 1000) -> tuple[Array, Array, Array]:
 def messages(
     position: Array, velocity: Array | None, effort: Array | None, names: tuple[str, ...] = NAMES, **store: Any
 ) -> list[tuple[str, int, Any]]:
-    """Return JointState messages on /arm."""
     rows = []
     for k, q in enumerate(position):
         stamp = 10**9 + k * PERIOD_NS
@@ -166,7 +163,6 @@ def test_both_topics_of_this_project_agree(shipped: Setup, tmp_path: Path) -> No
 
 
 def refused(path: Path, layout: BagLayout = LAYOUT) -> str:
-    """Return the one line with which a bag is refused."""
     with pytest.raises((BagError, IdentificationError)) as caught:
         read_record(path, layout)
     text = str(caught.value)

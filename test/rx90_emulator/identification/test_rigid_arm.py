@@ -1,7 +1,5 @@
 """Rigid-body torques against the plant's own arm, and for arms of other robots."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Identified robots as files: Pinocchio and the robot that the numbers came from are the oracles."""
 
-from __future__ import annotations
-
 import math
 import re
 import xml.etree.ElementTree as ET
@@ -62,7 +60,6 @@ FIXED = """<link name="tool"><inertial><origin xyz="0 0 0.1"/><mass value="1.5"/
 
 
 def element_of(element: FrictionElement) -> IdentifiedElement:
-    """Return an element of which omega_s and the bristle are not identified."""
     estimates = {
         name: ParameterEstimate.unknown("too short")
         if name in ("omega_s", "c0", "c1")
@@ -85,7 +82,6 @@ def identified(
     arm: RigidArm, inertias: ConsistentInertias, columns: StandardColumns, elements: tuple[IdentifiedElement, ...],
     source: BagSource, fallback: str | None = None,
 ) -> Any:  # fmt: skip
-    """Return as much of an identification as the robot's files hold."""
     done = np.zeros((2, len(arm.names)))
     done[1, 1] = -SEEN
     bands = Bandwidths(30.0, 10.0)
@@ -101,7 +97,6 @@ def identified(
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> BagSource:
-    """Return a bag."""
     bag = tmp_path_factory.mktemp("bags") / "run--1.mcap"
     bag.write_bytes(b"")
     return BagSource(bag, "0" * 64, 60.0, 0, 1_767_225_600.0)
@@ -119,7 +114,6 @@ class Case(NamedTuple):
 
 @pytest.fixture(scope="module")
 def case(tmp_path_factory: pytest.TempPathFactory, source: BagSource) -> Case:
-    """Return the robot with its folder."""
     place, shipped = tmp_path_factory.mktemp("robot"), RobotFiles()
     text = shipped.urdf.read_text()
     wrong = re.sub(r'(mass value|ixx|iyy|izz)="([\d.]+)"', lambda m: f'{m[1]}="{float(m[2]) * 1.3:g}"', text)
@@ -209,7 +203,6 @@ def run_of(setup: Setup) -> Array:
 
 
 def arm_of(tmp_path: Path, text: str) -> tuple[Path, RigidArm]:
-    """Return a URDF's file and its arm."""
     file = tmp_path / "arm.urdf"
     file.write_text(text)
     return file, RigidArm.from_urdf(file, ["a", "b", "c"])
@@ -271,7 +264,6 @@ def test_a_joint_that_turns_without_end_changes_no_assumed_value(tmp_path: Path)
 
 
 def rest_of(urdf: str) -> str:
-    """Return a URDF without comments and inertials."""
     root = ET.fromstring(urdf)
     for link in root.findall("link"):
         for inertial in link.findall("inertial"):

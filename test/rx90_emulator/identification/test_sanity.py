@@ -1,7 +1,5 @@
 """What is wrong with a log is named, with what to write instead, and nothing is said of a right one."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -26,30 +24,25 @@ OPTIONS = RobotOptions(gear=GEAR, torque_constant=CONSTANT)
 
 
 def recorded_run(arm: SyntheticArm, seed: int = 0, rate: float = 100.0) -> JointRecord:
-    """Return a run with noise."""
     return measured(arm, FourierMotion.random(arm, seed, periods=1), rate, seed, NOISE).record(arm)
 
 
 @pytest.fixture(scope="module")
 def arm() -> SyntheticArm:
-    """Return a random arm of four joints."""
     return plain_arm(3, 4, coupled=False)
 
 
 @pytest.fixture(scope="module")
 def described(arm: SyntheticArm, tmp_path_factory: pytest.TempPathFactory) -> RigidArm:
-    """Return the arm with masses that are half of the true ones."""
     return rigid_arm(arm, tmp_path_factory.mktemp("arm"))
 
 
 @pytest.fixture(scope="module")
 def record(arm: SyntheticArm) -> JointRecord:
-    """Return a run of it."""
     return recorded_run(arm)
 
 
 def said(described: RigidArm, record: JointRecord, options: RobotOptions = OPTIONS, zero: Array | None = None) -> str:
-    """Return what is said of a record."""
     return "; ".join(alarms(described, Recorded.of([record], described), options, zero))
 
 

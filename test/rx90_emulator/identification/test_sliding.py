@@ -1,7 +1,5 @@
 """The sliding fit finds known friction with the right deviations, and says what is not identifiable, or no sweep."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re
@@ -35,7 +33,6 @@ pytestmark = pytest.mark.slow
 
 
 def errors(estimate: Estimates, element: FrictionElement) -> dict[str, float]:
-    """Return relative errors by parameter."""
     return {name: abs(found.value / element.parameters[name] - 1.0) for name, found in estimate.items()}
 
 
@@ -124,7 +121,6 @@ def outliers(record: JointRecord) -> JointRecord:
 
 
 def missing(record: JointRecord) -> JointRecord:
-    """Return the record without one sample in ten."""
     kept = np.random.default_rng(8).random(len(record.time)) > 0.1
     return some_rows(record, kept)
 
@@ -278,7 +274,6 @@ def sweep(speed: float, rng: np.random.Generator, begin: float, friction: Fricti
 
 
 def series(rng: np.random.Generator, friction: Friction = straight, ripple: float = 0.0) -> list[JointRecord]:
-    """Return sweeps in both directions."""
     speeds = [sign * speed for speed in rng.permutation(SPEEDS).tolist() for sign in (1.0, -1.0)]
     return [sweep(speed, rng, 20.0 * k, friction, ripple) for k, speed in enumerate(speeds)]
 

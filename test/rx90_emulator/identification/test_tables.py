@@ -1,7 +1,5 @@
 """Tables read as they are, by a signal map: CSV, Parquet and NPZ give what a bag of the same numbers gives."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,7 +24,6 @@ Columns = dict[str, Any]
 
 
 def write_table(path: Path, columns: Columns) -> Path:
-    """Write columns as the suffix says."""
     if path.suffix == ".npz":
         np.savez(path, **columns)
     elif path.suffix == ".parquet":
@@ -66,7 +63,6 @@ class Motor:
 
 @pytest.fixture(scope="module")
 def motor(hinge: Hinge, tmp_path_factory: pytest.TempPathFactory) -> Motor:
-    """Return the motor of the joint that swings there and back."""
     columns: Columns = {
         "t": 5000.0 + np.arange(len(hinge.position)) * (1000.0 / RATE),
         "q": np.rad2deg((hinge.position[:, 0] + ZERO) * GEAR),

@@ -1,7 +1,5 @@
 """The closed loop of other arms: any number of joints and coupling, elastic gears, motors that turn the other way."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The closed loop without ROS: its bits, its series, its refusals, its errors."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections import defaultdict
@@ -35,7 +33,6 @@ REST = np.zeros(6)
 
 
 def there_and_back(size: float = 0.09) -> TrajectoryPoints:
-    """Return a motion with reversals in all joints."""
     turn = HOME + size * np.array([1, -1, 1, -1, 1, -1])
     rows = [HOME, turn, HOME]
     return TrajectoryPoints.create(NAMES, NAMES, [0.0, 0.3, 0.6], rows, [REST] * 3, [REST] * 3)
@@ -70,7 +67,6 @@ def step_by_step(setup: Setup, duration: float, start: int, substeps: int) -> di
 
 
 def series(result: RunResult) -> dict[str, Array]:
-    """Return all series of a run by topic."""
     assert result.fast is not None
     return {**result.fast._asdict(), **result.slow._asdict()}
 
@@ -257,7 +253,6 @@ REFERENCE = Path(__file__).parents[2] / "reference" / "reference_task"
 
 @pytest.fixture(scope="module")
 def task() -> LineTask:
-    """Return the reference task."""
     return load_task(config_path("robots/rx90b/task.yaml"))
 
 

@@ -1,7 +1,5 @@
 """What feed-forward by the controller's model does for the arm: on the reference task, at rest, over joins."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Paths from CSV and DXF: against points by hand and ezdxf's own geometry."""
 
-from __future__ import annotations
-
 import math
 import re
 import sys
@@ -95,10 +93,7 @@ def test_a_path_file_names_its_drawing(tmp_path: File) -> None:
 
 
 class Missing:
-    """An importer that finds no ezdxf."""
-
     def find_spec(self, name: str, path: object = None, target: object = None) -> None:  # noqa: ARG002
-        """Refuse it."""
         if name == "ezdxf":
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
@@ -119,7 +114,6 @@ def test_dxf_without_its_package_is_one_line(
 
 @pytest.fixture
 def drawing() -> Any:
-    """Return a new drawing in mm."""
     ezdxf = pytest.importorskip("ezdxf")
     document = ezdxf.new()
     document.header["$INSUNITS"] = 4

@@ -1,7 +1,5 @@
 """Free-running time with a controller that is late: plant, law, and both nodes' exchange on a clock made by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from itertools import repeat
 from types import SimpleNamespace
@@ -34,17 +32,14 @@ class Side:
         self.serve = lambda: None
 
     def publish(self, raw: bytes) -> None:
-        """Hand a message over."""
         self.peer.inbox.append(raw)
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return the next message."""
         if not self.inbox and timeout > 0.0:
             self.serve()
         return self.inbox.pop(0) if self.inbox else None
 
     def matches(self) -> Matches:
-        """Return one of each."""
         return Matches(1, 1)
 
 
@@ -86,7 +81,6 @@ class Nodes:
 
     @property
     def moving(self) -> bool:
-        """Return whether a trajectory runs."""
         return self.cs7b.trajectory.moving(self.cs7b.position_tick)
 
     def follow(self, mode: str) -> None:

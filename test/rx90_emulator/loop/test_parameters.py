@@ -1,7 +1,5 @@
 """Values of setup and task by dotted paths: what there is, and what setting one does."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`rx90 run` refuses what it cannot do before it runs anything."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The closed loop tick by tick: as the nodes do it, and written again from the equations."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable
@@ -139,7 +137,6 @@ E = np.vstack([np.eye(6), [0, 0, 0, 0, 1, 1]])
 
 
 def limit(x: Array, bound: Array | float) -> Array:
-    """Return x between -bound and bound."""
     return np.minimum(np.maximum(x, -bound), bound)
 
 
@@ -164,7 +161,6 @@ class Controller:
         self.held, self.rate = np.zeros(6), np.zeros(6)
 
     def position_loop(self, k: int, theta: Array) -> None:
-        """Run PI and feed-forward."""
         c, n = self.c, self.n
         r, dr = (n * (N @ x) for x in set_points(k))
         ddr = (n * (N @ set_points(k + 1)[1]) - dr) / (RATIO * T)
@@ -179,7 +175,6 @@ class Controller:
         self.held, self.rate = pi + forward, np.zeros(6) if self.literal else dr
 
     def velocity_loop(self, w: Array) -> Array:
-        """Return the motor torques."""
         c = self.c
         wanted = (self.held + c.inertia / self.n**2 * c.kv * (self.rate - w)) / self.kt
         self.sign = np.where(np.abs(wanted) > self.peak, np.sign(wanted), 0.0)
@@ -210,7 +205,6 @@ class Arm:
         self.theta = self.count * np.round(self.y / self.count)
 
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return M and h."""
         upper = np.triu(pin.crba(self.model, self.data, q))
         bias = pin.nonLinearEffects(self.model, self.data, q, v).copy()
         bias += self.k * np.sin(q)
@@ -236,7 +230,6 @@ class Arm:
         return torques
 
     def step(self, u: Array) -> None:
-        """Hold motor torques for a tick and sample the resolvers."""
         before, self.d = self.d, N.T @ (self.n * limit(u, self.peak))
         a = self.a + np.linalg.solve(self.mass, self.d - before)
         v_m, q_m = self.v + T / 2 * a, self.q + T / 2 * (self.v + T / 4 * a)

@@ -1,7 +1,5 @@
 """A measured bag against the closed loop along its path, by `rx.compare_measured` and the command."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,7 +31,6 @@ class Measured:
     bag: Path
 
     def write(self, name: str, *series: rx.JointSeries) -> Path:
-        """Write series as a bag."""
         rx.write_joint_states(self.folder / name, series)
         return self.folder / name
 
@@ -69,7 +66,6 @@ def measured(tmp_path_factory: pytest.TempPathFactory, shipped: Setup) -> Measur
 
 
 def scaled(measured: Measured, factor: float) -> rx.Setup:
-    """Return the setup with all friction torques times a factor."""
     values = {
         path: one.value * factor
         for path, one in rx.parameters(measured.setup).items()

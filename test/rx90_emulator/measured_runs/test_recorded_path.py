@@ -1,7 +1,5 @@
 """The path error in a bag: that of the run, across the path of the set-points, of one arm."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

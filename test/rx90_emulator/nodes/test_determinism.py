@@ -1,7 +1,5 @@
 """Nodes, in one process or two, and the closed loop without ROS are the same numbers, whatever machine and arm do."""
 
-from __future__ import annotations
-
 import re
 import signal
 import struct
@@ -164,7 +162,6 @@ ALL = 9
 
 
 def written(folder: Path) -> Setup:
-    """Write files of the arm and return its setup."""
     content = yaml.safe_load(config_path("robots/rx90b/drives.yaml").read_text(encoding="utf-8"))
     blocks = {name: {"provenance": "assumed", "source": "for the tests", **block}
               for name, block in yaml.safe_load(DRIVES).items()}  # fmt: skip
@@ -227,7 +224,6 @@ def _record(processes: Processes, client: Client, cell: ChildProcess, bag: Path)
 
 
 def the_same(one: Path, other: Path) -> None:
-    """Assert that all numbers in two bags have the same bits."""
     comparison = compare_bags(one, other)
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     assert len(comparison.topics) == ALL

@@ -1,7 +1,5 @@
 """Whatever others send to the nodes or ask of them: they answer or refuse, in short lines, and go on."""
 
-from __future__ import annotations
-
 import os
 import random
 import re
@@ -93,13 +91,11 @@ def requests(known: str) -> Iterator[tuple[Any, str, Any]]:
 
 
 def trajectory() -> JointTrajectory:
-    """Return a trajectory that the controller accepts."""
     point = JointTrajectoryPoint(positions=[0.01] * 6, velocities=[0.0] * 6, time_from_start=Duration(sec=1))
     return JointTrajectory(joint_names=JOINTS, points=[point])
 
 
 def refused_trajectories() -> Iterator[bytes]:
-    """Return trajectories that can be read and not followed."""
     for names in ([], NAMES, ["x"] * 10_000, [NAMES[2]] * 6):
         yield serialize_message(JointTrajectory(joint_names=list(names), points=trajectory().points))
     for stamp in (Time(sec=-1), Time(sec=2**31 - 1, nanosec=2**32 - 1), Time(nanosec=2**32 - 1)):

@@ -1,7 +1,5 @@
 """The launch files, that of ros2_control too; launch itself stands in as a stub, its hardware as the source has it."""
 
-from __future__ import annotations
-
 import math
 import re
 import shutil
@@ -27,7 +25,6 @@ FILE, MOVEIT = "rx90.launch.py", "moveit.launch.py"
 
 
 def nodes(actions: list[Action]) -> dict[str, Action]:
-    """Return the nodes by their executables."""
     return {action.named["executable"]: action for action in actions if action.kind == "Node"}
 
 
@@ -152,7 +149,6 @@ BANDWIDTH = 2.0 * math.pi * 5.0  # rad/s, for a loop that is closed at 250 Hz ov
 
 
 def description(mode: str, **more: str) -> ET.Element:
-    """Return what xacro makes of the file."""
     return ET.fromstring(xacro.process_file(str(XACRO), mappings={"mode": mode, **more}).toxml())
 
 

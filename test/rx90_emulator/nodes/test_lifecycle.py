@@ -1,7 +1,5 @@
 """Managed nodes: their states, what may be set in which, and what a running pair does meanwhile."""
 
-from __future__ import annotations
-
 import re
 import signal
 from pathlib import Path
@@ -32,7 +30,6 @@ LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def latched(client: Client, topic: str, kind: type) -> list[Any]:
-    """Return a list that grows with the messages of a latched topic."""
     heard: list[Any] = []
     client.node.create_subscription(kind, topic, heard.append, LATCHED)
     return heard

@@ -1,7 +1,5 @@
 """Controllers of one's own against `rx90_sim` over DDS, written in plain rclpy as a user's are."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -28,7 +26,6 @@ def start(processes: Processes, **parameters: object) -> ChildProcess:
 
 
 def law(position: np.ndarray, velocity: np.ndarray, t: float) -> np.ndarray:
-    """Return efforts that pull all joints along sines."""
     wanted = np.array(START) + 0.02 * np.sin(7.0 * t)
     return STIFFNESS * (wanted - position) - 0.1 * STIFFNESS * velocity
 

@@ -1,7 +1,5 @@
 """Simulation and controller as a user starts them: in either time, paused, asked for this and that, killed."""
 
-from __future__ import annotations
-
 import re
 import signal
 from itertools import groupby, pairwise
@@ -227,7 +225,6 @@ def test_either_node_is_killed_and_comes_back(processes: Processes, client: Clie
 
 
 def _drained(client: Client, heard: list[object]) -> bool:
-    """Return whether nothing more arrives within a look."""
     before = len(heard)
     client._executor.spin_once(timeout_sec=0.3)
     return len(heard) == before

@@ -1,7 +1,5 @@
 """A program of V+ on running nodes: the controller's arm moves, and signals are topics."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """/tf and /tf_static from the simulation, over DDS."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from typing import Any
 

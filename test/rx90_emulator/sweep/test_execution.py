@@ -1,7 +1,5 @@
 """The same results wherever and in whatever order the runs are computed, what a run is judged by, and the command."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Iterator
@@ -258,7 +256,6 @@ def plan_file(tmp_path: Path, task_file: Path, sweep: Sweep) -> Path:
 
 
 def parts(output: Path) -> list[Path]:
-    """Return the parts that an unfinished sweep has written."""
     return list(parts_folder(output).glob("part-*.parquet"))
 
 

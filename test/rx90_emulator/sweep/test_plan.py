@@ -1,7 +1,5 @@
 """Plans: lists and distributions of values, their YAML files, and which values each run sets."""
 
-from __future__ import annotations
-
 import math
 import re
 import shutil
@@ -171,12 +169,10 @@ DRAWN = {"factor": {"uniform": [1.0, 2.0]}}
 
 
 def plan_of(seed: int = 0, **blocks: dict[str, Any]) -> SweepPlan:
-    """Return the plan of some blocks."""
     return SweepPlan.model_validate({"seed": seed, "blocks": blocks})
 
 
 def all_runs(plan: SweepPlan, catalogue: Catalogue) -> list[RunDescription]:
-    """Return every run of a plan."""
     runs = RunList(plan, catalogue)
     return [runs.describe(index) for index in range(len(runs))]
 

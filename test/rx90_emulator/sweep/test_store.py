@@ -1,7 +1,5 @@
 """The files of results, whole, in parts and damaged."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -21,7 +19,6 @@ from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
 @pytest.fixture
 def output(tmp_path: Path, sweep: Sweep, outcomes: list[RunOutcome]) -> Path:
-    """Return the file of a finished sweep."""
     file = tmp_path / "out.parquet"
     with ResultStore(file, sweep) as kept:
         kept.add(reversed(outcomes))

@@ -1,7 +1,5 @@
 """rx90 view on running nodes, as a browser shows it: they come and go, move, and each fact stands in its place."""
 
-from __future__ import annotations
-
 import re
 import signal
 from collections.abc import Callable, Iterator
@@ -40,7 +38,6 @@ SETTLED = 1e-3  # m; the arm gives a little under its weight
 
 
 def address(view: ChildProcess) -> str:
-    """Wait for the page."""
     return view.wait_for(r"page: (\S+)")[1]
 
 
@@ -51,7 +48,6 @@ def stopped(view: ChildProcess) -> int:
 
 
 def near(shown: BrowserPage, where: np.ndarray) -> Callable[[], bool]:
-    """Return whether the tip is drawn there."""
     return lambda: float(np.linalg.norm(shown.pose(ARM)[:3, 3] - where)) < SETTLED
 
 
@@ -94,7 +90,6 @@ def test_the_arm_of_make_view_moves_and_all_ends_with_it(processes: Processes, o
 
 @pytest.fixture(scope="module")
 def page() -> Iterator[Page]:
-    """Give a page that nobody looks at."""
     made = Page("test", port=0)
     yield made
     made.close()

@@ -1,7 +1,5 @@
 """The page in a real browser: arms where Pinocchio says, the trace, and its loop."""
 
-from __future__ import annotations
-
 import io
 import signal
 import socket
@@ -32,7 +30,6 @@ PIXEL = 1e-6  # m; positions go to the page as single precision
 
 @pytest.fixture
 def page() -> Iterator[Page]:
-    """Serve a page on any free port."""
     with served(Page("test", port=0)) as page:
         yield page
 
@@ -128,7 +125,6 @@ def test_a_browser_that_is_waited_for_does_not_hold_the_page(
 
 @pytest.fixture
 def idle() -> Iterator[Page]:
-    """Give a page that no thread runs."""
     page = Page("test", port=0)
     yield page
     page.close()

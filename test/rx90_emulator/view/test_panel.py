@@ -1,7 +1,5 @@
 """The panel that moves the arm: who may, what a locked or foreign client cannot, and what its sliders send."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -47,7 +45,6 @@ CAMERA = {
 
 @pytest.fixture(scope="module")
 def plan(shipped: Setup) -> LinePlan:
-    """Give a short line."""
     return plan_path(shipped, LINE)
 
 
@@ -63,7 +60,6 @@ class Stranger:
         self.send(**CAMERA)
 
     def send(self, **message: object) -> None:
-        """Send one message."""
         self._socket.send(msgspec.msgpack.encode(message))
 
     def change(self, field: Any, value: object) -> None:
@@ -77,7 +73,6 @@ class Stranger:
         self.change(button, True)
 
     def close(self) -> None:
-        """Go."""
         self._socket.close()
 
 
@@ -189,7 +184,6 @@ class Bench:
 
 @pytest.fixture
 def bench(shipped: Setup, plan: LinePlan, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    """Serve a panel without nodes."""
     bench = Bench(shipped, plan, monkeypatch)
     with served(bench.page):
         yield bench
@@ -311,7 +305,6 @@ class Drags:
 
 @pytest.fixture
 def drags(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> Drags:
-    """Give the sliders of the shipped robot."""
     return Drags(shipped, monkeypatch)
 
 

@@ -1,7 +1,5 @@
 """The monitor of V+ as programs talk to it: what comes back for each line, and a client on a TCP port."""
 
-from __future__ import annotations
-
 import math
 import re
 import socket

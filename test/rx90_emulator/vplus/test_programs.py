@@ -1,7 +1,5 @@
 """Programs of V+: whole cases worked out by hand, and tables of lines with their text, faults and motions."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence
@@ -50,13 +48,11 @@ def memory_of(text: str, **readings: Any) -> Memory:
 
 
 def ran(setup: Setup, text: str, *inputs: Change, **options: Any) -> ProgramRun:
-    """Run a text."""
     chosen = Options(**{"idle": 5.0, "longest": 30.0, **options})
     return run_program(setup, memory_of(text), inputs=inputs, options=chosen)
 
 
 def shown(run: ProgramRun) -> list[str]:
-    """Return what TYPE showed."""
     assert run.error is None
     return [line for _, line in run.lines]
 

@@ -1,7 +1,5 @@
 """The ATmega328P binary in simavr, in this process, exact to the cycle."""
 
-from __future__ import annotations
-
 import ctypes
 import subprocess
 import weakref
@@ -11,7 +9,6 @@ SHIM = Path(__file__).with_name("simavr_board.c")
 
 
 def build_shim(library: Path) -> None:
-    """Compile the ctypes shim against libsimavr."""
     command = ["cc", "-O2", "-fPIC", "-shared", str(SHIM), "-lsimavr", "-o", str(library)]
     subprocess.run(command, check=True, capture_output=True, text=True)
 
@@ -29,8 +26,6 @@ def read_intel_hex(path: Path) -> bytes:
 
 
 class SimavrBoard:
-    """The Board interface around simavr."""
-
     def __init__(self, library: Path, firmware: Path) -> None:
         self._lib = ctypes.CDLL(str(library))
         self._lib.board_new.restype = ctypes.c_void_p
@@ -42,40 +37,31 @@ class SimavrBoard:
         self._finalizer = weakref.finalize(self, self._lib.board_free, self._board)
 
     def reset(self) -> None:
-        """Pull the reset pin."""
         self._lib.board_reset(self._board)
 
     def write(self, data: bytes) -> None:
-        """Put bytes on the line to the board."""
         self._lib.board_write(self._board, data, len(data))
 
     def read(self) -> bytes:
-        """Return what the board has sent."""
         count = self._lib.board_read(self._board, self._buffer, 4096)
         return self._buffer.raw[:count]
 
     def run(self, slice_us: int, edges: int, adc: int) -> None:
-        """Let time pass with these encoder edges and this ADC code."""
         self._lib.board_run(self._board, slice_us, edges, adc)
 
     @property
     def dac(self) -> int:
-        """Return the code on the DAC."""
         return int(self._lib.board_dac(self._board))
 
     @property
     def stage_on(self) -> bool:
-        """Return whether the power stage is enabled."""
         return bool(self._lib.board_stage(self._board))
 
     def register(self, address: int) -> int:
-        """Return a register of the data space."""
         return int(self._lib.board_register(self._board, address))
 
     def sense(self, channel: int) -> None:
-        """Put the current sense on another of the converter's channels."""
         self._lib.board_sense(self._board, channel)
 
     def close(self) -> None:
-        """End the simulation."""
         self._finalizer()

@@ -1,7 +1,5 @@
 """The 8051 binary in uCsim (s51), in lock-step over its console."""
 
-from __future__ import annotations
-
 import array
 import contextlib
 import fcntl
@@ -24,7 +22,6 @@ MARK = "expr 918273644+1"
 
 
 def build_shim(library: Path) -> None:
-    """Compile the preloaded poll."""
     command = ["cc", "-O2", "-fPIC", "-shared", str(SHIM), "-o", str(library)]
     subprocess.run(command, check=True, capture_output=True, text=True)
 
@@ -89,20 +86,17 @@ class UcsimBoard:
         return count[0] > 0
 
     def write(self, data: bytes) -> None:
-        """Put bytes on the line to the board."""
         if data:
             os.write(self._to_rig, data)
             self._listen = max(self._listen, 0.0) + len(data) / BYTES_PER_MS
 
     def read(self) -> bytes:
-        """Return what the board has sent."""
         try:
             return os.read(self._from_rig, 4096)
         except BlockingIOError:
             return b""
 
     def run(self, slice_us: int, edges: int, adc: int) -> None:
-        """Let time pass with these encoder edges and this ADC code."""
         self._target += slice_us * CRYSTAL_MHZ
         steps = max(1, round((self._target - self._clock) / CLOCKS_PER_INSTRUCTION))
         # The simulator looks for input every million instructions, unless told; twice the time that the bytes take.
@@ -127,7 +121,6 @@ class UcsimBoard:
         self._target = float(self._clock)
 
     def port(self, number: int) -> int:
-        """Return what the program writes to a port."""
         return self._console([f"expr port{number}_odr"])[-1] & 0xFF
 
     def instructions(self, count: int) -> None:
@@ -155,7 +148,6 @@ class UcsimBoard:
 
     @property
     def dac(self) -> int:
-        """Return the code on the DAC."""
         return self._dac & 0xFF
 
     @property

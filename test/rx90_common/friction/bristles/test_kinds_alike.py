@@ -1,7 +1,5 @@
 """What holds for every kind of bristles: sticking, sliding, energy, order of the step, and what tells them apart."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

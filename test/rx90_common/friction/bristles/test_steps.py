@@ -1,7 +1,5 @@
 """The steps of elasto-plastic bristles and Maxwell-slip blocks: exact at constant velocity, numbers for every one."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -83,7 +81,6 @@ BLOCKS = MaxwellSlip(stiffness=(0.5, 0.3, 0.2), share=(0.2, 0.3, 0.5), attractio
 
 
 def record_of(blocks: MaxwellSlip) -> Any:
-    """Return the blocks as compiled code has them."""
     record = np.zeros(1, bristles_dtype(1))
     fill_bristles(record[0], [blocks])
     return record[0]["blocks"]

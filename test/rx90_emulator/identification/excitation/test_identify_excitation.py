@@ -1,7 +1,5 @@
 """`rx90 identify excitation BAG ...`: values, verdicts, files, and what is refused."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Callable

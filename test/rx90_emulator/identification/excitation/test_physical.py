@@ -1,7 +1,5 @@
 """Physically consistent inertias, held against point masses, NumPy, Pinocchio's regressor and a solver of SciPy."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -56,7 +54,6 @@ class Arm:
     truth: Array
 
     def estimate(self, value: Array, deviation: float) -> BaseEstimate:
-        """Return an estimate with the information of equal noise on all torques."""
         base = self.matrix @ np.linalg.pinv(self.mapping)
         return BaseEstimate(self.mapping, value, base / deviation, np.ones(len(value), dtype=np.bool_))
 
@@ -76,7 +73,6 @@ def parameters_of(masses: Array, places: Array) -> Array:
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Arm:
-    """Return the arm."""
     file = tmp_path_factory.mktemp("arm") / "arm.urdf"
     file.write_text(URDF)
     q, v, a = RNG.uniform(-2.0, 2.0, (3, 40, 3))

@@ -1,7 +1,5 @@
 """Filters and rows of excitation runs, against analytic motions, NumPy and random arms whose truth is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The nodes and clients that the tests of the action share."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import closing
 

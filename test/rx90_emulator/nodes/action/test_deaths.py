@@ -1,7 +1,5 @@
 """FollowJointTrajectory with each of its processes apart: bits from run to run, and who dies in mid-goal."""
 
-from __future__ import annotations
-
 import signal
 import time
 from collections.abc import Iterator
@@ -70,7 +68,6 @@ class Pair:
 
 @contextmanager
 def started(folder: Path) -> Iterator[Pair]:
-    """Give a pair on a domain of its own."""
     with own_processes(folder) as processes, closing(Client()) as client:
         yield Pair(client, processes)
 

@@ -3,8 +3,6 @@
 What the arm does then is tested without ROS (test_goals.py, test_servo_loop.py), and at random in test_refused.py.
 """
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What becomes of a goal that is followed, and what is beside the action: over DDS, time that runs by steps."""
 
-from __future__ import annotations
-
 import re
 import signal
 import sys
@@ -196,7 +194,6 @@ def test_controller_state_has_what_the_other_topics_have(bench: Bench) -> None:
 
 @contextmanager
 def allowed(bench: Bench, option: str) -> Iterator[None]:
-    """Set an option of goals for a while."""
     assert bench.client.set_parameters("rx90_controller", **{option: True}) == [""]
     try:
         yield

@@ -1,7 +1,5 @@
 """The controller is found by rqt_joint_trajectory_controller and MoveIt as one of a controller_manager, and is used."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

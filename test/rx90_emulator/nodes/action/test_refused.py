@@ -1,7 +1,5 @@
 """What is no goal, and when the controller takes none: rejected or aborted, with the reason; bursts and streams."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -34,7 +32,6 @@ def test_what_is_no_goal_is_rejected_and_logged_and_the_one_before_goes_on(bench
     diagnostics = bench.client.listen("/diagnostics", DiagnosticArray, depth=10)
 
     def last_rejection() -> str:
-        """Return what the controller's newest diagnostics say of it."""
         values = [value for message in diagnostics for status in message.status for value in status.values]
         return str(next((value.value for value in reversed(values) if value.key == "last rejection"), ""))
 
@@ -150,7 +147,6 @@ DEEP = QoSProfile(depth=2 * BURST)  # the client's own queues, of answers that c
 
 
 def answers(bench: Bench, asked: list[Any], what: str) -> list[Any]:
-    """Return the answers of all."""
     bench.client.spin_until(lambda: all(one.done() for one in asked), f"{len(asked)} {what}", SOON)
     return [one.result() for one in asked]
 
