@@ -77,7 +77,7 @@ def fill_cogging(record: Any, cogging: Cogging, gear: Array) -> None:
     record["harmonic"][:terms] = cogging.harmonic
     if terms:
         amplitude = np.array(cogging.amplitude)
-        sine, cosine = sines_cosines(cogging.phase or np.zeros_like(amplitude))
+        sine, cosine = sines_cosines(np.array(cogging.phase))
         record["cosine"][:terms] = gear * amplitude * cosine
         record["sine"][:terms] = gear * amplitude * sine
 

@@ -33,10 +33,12 @@ from rx90_common.bags.joint_series import Int64Array, JointSeries
 from rx90_common.bags.topics import EFFORT_UNIT, JOINT_STATE, STRING, absolute
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError, check_bag_name
 from rx90_common.base.quoting import listed, plain
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.message_types import typestore
 from rx90_common.process.files import hidden_folder
 
+_RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
 _MESSAGES_AT_ONCE = 10_000  # in memory while arrays are written
 _INFINITE = QosTime(9_223_372_036, 854_775_807)
 # Of mcap: op codes, and bytes.
@@ -183,11 +185,18 @@ class BagWriter(Writer):
             messages: n messages, at least one.
 
         Raises:
-            BagWriteError: if the disk is full.
+            BagWriteError: if the disk is full or nearly so.
         """
         storage: Any = self.storage
         with _failures(self._named):
             storage.write_many(number, log_ns, messages)
+            free = shutil.disk_usage(self.path).free
+        if free < _RESERVE_BYTES:
+            room = f"{free >> 20} MiB left; accepted: {_RESERVE_BYTES >> 20} MiB or more"
+            when = f"t = {log_ns[-1] / NANOSECONDS:.6f} s"
+            raise BagWriteError(
+                f"{plain(self._named)}: stopped at {when}, as the disk is nearly full ({room})"
+            )
 
     def close(self) -> None:
         """Write index and metadata. A second call does nothing.

@@ -74,13 +74,19 @@ class Cogging(FileModel):
         quantity(
             "rad", "Phases of the cosines where the motors are at 0; 0 where they are left out."
         ),
+        Field(validate_default=True),
     ] = ()
+
+    @field_validator("phase")
+    @classmethod
+    def _complete_phase(cls, phase: _Rows, info: ValidationInfo) -> _Rows:
+        return phase or tuple((0.0,) * len(row) for row in info.data.get("amplitude", ()))
 
     @model_validator(mode="after")
     def _check_shapes(self) -> Cogging:
         terms = len(self.harmonic)
         motors = len(self.amplitude[0]) if self.amplitude else 0
-        for key, rows in (("amplitude", self.amplitude), ("phase", self.phase or self.amplitude)):
+        for key, rows in (("amplitude", self.amplitude), ("phase", self.phase)):
             if len(rows) != terms or any(len(row) != motors for row in rows):
                 raise refusal(key, [list(row) for row in rows], f"{terms} rows of {motors} numbers")
         return self
@@ -140,6 +146,7 @@ class Windings(FileModel):
             "°C",
             "Temperature of the windings at the start; as warm as the surroundings if left out.",
         ),
+        Field(validate_default=True),
     ] = None
     reference: Annotated[_Degrees, quantity("°C", "Temperature at which the resistance holds.")] = (
         20.0
@@ -156,6 +163,11 @@ class Windings(FileModel):
     limit: Annotated[
         _DegreesOrNever, quantity("°C", "Temperature at which it gives none; .inf for never.")
     ]
+
+    @field_validator("initial")
+    @classmethod
+    def _complete_initial(cls, initial: float | None, info: ValidationInfo) -> float | None:
+        return info.data.get("ambient") if initial is None else initial
 
     @model_validator(mode="after")
     def _check_temperatures(self) -> Windings:

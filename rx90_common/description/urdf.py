@@ -99,7 +99,7 @@ def pinocchio_model(file: Path, root: ET.Element) -> Any:
     if model is None or lines:  # of an inertial that cannot be read there are lines alone
         reason = " ".join(("; ".join(lines) or str(fault)).split())
         raise ConfigError(f"{plain(file)}: no URDF that Pinocchio can read ({reason})")
-    frames = {frame.name for frame in model.frames}
+    frames = {frame.name for frame in model.frames if frame.type != pin.FrameType.BODY}
     for joint in root.findall("joint"):
         where = f"{plain(file)}: joint {quoted(joint.get('name'))}"
         if joint.get("name") not in frames:

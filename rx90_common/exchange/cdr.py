@@ -282,8 +282,9 @@ class JointStateCodec:
         layout = self._expected
         if len(raw) == len(layout.message) and layout.constant_of(raw) == layout.constant:
             layout.incoming[:] = raw
-            if math.isfinite(sum(layout.numbers.tolist())):  # then all of them are
-                seconds, nanoseconds = _STAMP.unpack_from(raw, ENCAPSULATION)
+            seconds, nanoseconds = _STAMP.unpack_from(raw, ENCAPSULATION)
+            # a sum is finite if all numbers are
+            if math.isfinite(sum(layout.numbers.tolist())) and nanoseconds < NANOSECONDS:
                 position, velocity, effort = layout.views
                 return seconds * NANOSECONDS + nanoseconds, position, velocity, effort
         # A message of any layout; the next one is expected to have the same set of arrays.
@@ -305,6 +306,11 @@ def _read_any(raw: bytes, names: Sequence[str]) -> tuple[int, Arrays]:
     if sorted(message.name) != sorted(names):
         raise ExchangeError(
             f"joint names are {listed(message.name)}; accepted: {listed(names)}, each once, in any order"
+        )
+    nanoseconds = message.header.stamp.nanosec
+    if nanoseconds >= NANOSECONDS:
+        raise ExchangeError(
+            f"header.stamp.nanosec is {nanoseconds}; accepted: 0 to {NANOSECONDS - 1}"
         )
     order = [message.name.index(name) for name in names]
     arrays: list[Array | None] = []

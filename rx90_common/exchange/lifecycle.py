@@ -41,6 +41,7 @@ from rx90_common.exchange.parameters import (
     named_parameters,
     unknown_parameter,
 )
+from rx90_common.exchange.requests import answer_all_requests
 from rx90_common.exchange.ros_start import reason, start_ros
 from rx90_common.process.interrupts import end_with, stop_request
 
@@ -144,6 +145,7 @@ def _spin(members: Sequence[TickingNode], services: int, cut_off: threading.Time
     count = max(services, len(nodes))
     executor = SingleThreadedExecutor() if count == 1 else MultiThreadedExecutor(count)
     for node in nodes:
+        answer_all_requests(node)
         executor.add_node(node)
     # The executor must give the interpreter back to the ticks soon, and the collector must not walk through
     # everything that was imported in the middle of a tick.

@@ -41,6 +41,8 @@ from rx90_common.kernels.sources import files_with_kernels, module_file
 
 _UNUSED_S = 28 * 24 * 3600.0  # after which the folder of other sources is removed
 _FOLDER = re.compile(r"[0-9a-f]{16}")
+_LONGEST_S = 120.0  # wait for another process, after which this one compiles itself
+_LOOK_S = 0.02
 
 
 class CompileLock:
@@ -81,14 +83,18 @@ class CompileLock:
 
 
 def _lock(descriptor: int) -> None:
-    """Wait for the lock of a file; without delay on a file system that has none."""
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        compilation_begins()
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-    except OSError:
-        return
+    """Wait for the lock of a file; no longer than _LONGEST_S, and not on a file system that has none."""
+    end = time.monotonic() + _LONGEST_S
+    while time.monotonic() < end:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            compilation_begins()
+            time.sleep(_LOOK_S)
+        except OSError:
+            return
+        else:
+            return
 
 
 def _kernels_hash() -> str:

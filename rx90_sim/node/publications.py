@@ -39,6 +39,7 @@ class PeriodicMessage:
         ticks: from one message to the next.
         encode: returns the message for a time, ns.
         least_gap: of wall time between two messages, s; one that comes earlier is left out.
+        is_costly: whether it is not made while nobody listens; who comes then gets the next one.
     """
 
     def __init__(
@@ -47,17 +48,22 @@ class PeriodicMessage:
         ticks: int,
         encode: Callable[[int], Any],
         least_gap: float = 0.0,
+        is_costly: bool = False,
     ) -> None:
         self.publisher = publisher
         self._ticks = ticks
         self._encode = encode
         self._least_gap = least_gap
+        self._is_costly = is_costly
         self._due = 0.0  # s of the steady clock
         self._newest: Any = None
 
     def publish_due(self, tick: int, stamp: int) -> None:
         """Publish the message of this tick, whose time is `stamp`, ns, if it is due."""
         if tick % self._ticks:
+            return
+        if self._is_costly and not self.publisher.get_subscription_count():
+            self._newest = None
             return
         # Also without subscribers: one that subscribes while time stands still gets the newest.
         self._newest = self._encode(stamp)
@@ -105,7 +111,8 @@ class Publications:
         self._messages = []
         for name, encode in (("joint_states", joints), ("friction_states", friction)):
             publisher = node.create_publisher(JointState, name, STATE_QOS)
-            self._messages.append(PeriodicMessage(publisher, ticks, encode))
+            is_costly = encode is friction
+            self._messages.append(PeriodicMessage(publisher, ticks, encode, is_costly=is_costly))
             sampled = node.create_publisher(JointState, f"{SAMPLED}/{name}", CLOCK_QOS)
             self._messages.append(
                 PeriodicMessage(sampled, sampled_ticks, encode, _SHORTEST_SAMPLED_PERIOD)
