@@ -38,6 +38,7 @@ from friction_bench.experiment.session import near_limits
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort, native_library
 from friction_bench.rig.plant import (
+    SLICE,
     RigJoint,
     Shaft,
     joint_record,
@@ -231,13 +232,13 @@ class QuickRig:
             (plant.motor.torque_constant, plant.motor.resistance, plant.motor.supply),
             shaft,
             (rig.gear.ratio, rig.gear.efficiency, plant.load_inertia + plant.joint_inertia),
-            joint_record(element, rig.gear.ratio, self.seed),
+            joint_record(element, rig.gear.ratio, SLICE, self.seed),
             loaded and isinstance(joint, FrictionElement),
         )
         scale = rig.counts_per_revolution / math.tau
         counts = np.floor(angle * scale + self._rng.random())
-        lengths = range(1, ticks.size + 1)
-        end = next((n - 1 for n in lengths if near_limits(rig, counts[:n])), ticks.size)
+        beyond = near_limits(rig, counts)
+        end = int(np.argmax(beyond)) if beyond.any() else ticks.size
         reading = np.maximum(
             0.0, motor + plant.amplifier.adc_noise * self._rng.standard_normal(ticks.size)
         )
@@ -321,7 +322,7 @@ def _covered(hits: list[bool]) -> tuple[float, str]:
 def measure_grid() -> tuple[list[str], bool]:
     """Print the figures of the grid; return what is not accepted, and whether all was measured."""
     cells = grid()
-    native_library({})  # built once, before several processes want it
+    native_library()  # built once, before several processes want it
     jobs = [
         (cell, 1000 * number + seed) for number, cell in enumerate(cells) for seed in range(SEEDS)
     ]

@@ -55,18 +55,22 @@ class Pair(NamedTuple):
     """The difference of two velocities, per cent of the closed form's final velocity.
 
     Attributes:
-        worst: over the whole ramp.
+        worst, rms: over the whole ramp.
         sliding: the worst from SETTLED after break-away on.
         band: the source's figure for this pair, per cent, None if it gives none.
-        within: the difference stays within the band.
     """
 
     first: str
     second: str
     worst: float
+    rms: float
     sliding: float
     band: float | None
-    within: bool
+
+    @property
+    def within(self) -> bool:
+        """Return whether the difference stays within the source's band."""
+        return self.band is None or self.worst <= self.band
 
 
 class Sensor(NamedTuple):
@@ -89,6 +93,7 @@ class FourWay(NamedTuple):
     Attributes:
         as_source: the sensor's signals under slope 1 from 2 s on, to the torque at which the experiment's ramp ends.
         source_velocities: of the three models there, at the sensor's times.
+        source_pairs: their differences.
     """
 
     time: Array
@@ -96,35 +101,45 @@ class FourWay(NamedTuple):
     pairs: list[Pair]
     as_source: Sensor
     source_velocities: dict[str, Array]
+    source_pairs: list[Pair]
 
 
 @kernel
-def _net(time: float, speed: float, model: RampModel) -> float:
-    """Return drive less friction, Nm, with a sign block; the ramp begins at time 0."""
+def _net(drive: float, speed: float, coulomb: float, viscous: float) -> float:
+    """Return drive less friction, Nm, with a sign block."""
     sign = 1.0 if speed > 0.0 else -1.0 if speed < 0.0 else 0.0
-    return model.slope * max(time, 0.0) - model.viscous * speed - model.coulomb * sign
+    return drive - viscous * speed - coulomb * sign
 
 
 @kernel
-def _fixed_steps(model: RampModel, begin: float, step: float, count: int) -> Array:
+def _fixed_steps(
+    slope: float,
+    begin: float,
+    friction: tuple[float, float],
+    inertia: float,
+    step: float,
+    count: int,
+) -> Array:
     """Integrate by Bogacki and Shampine's third-order steps (Simulink's ode3); see `block_diagram`."""
-    outputs = np.empty((4, count))
+    coulomb, viscous = friction
+    found = np.empty((4, count))
     angle = speed = 0.0
     for k in range(count):
         t = k * step - begin
-        net = _net(t, speed, model)
-        a1 = net / model.inertia
-        outputs[0, k] = angle
-        outputs[1, k] = speed
-        outputs[2, k] = a1
-        outputs[3, k] = net
+        drive = slope * max(t, 0.0)
+        net = _net(drive, speed, coulomb, viscous)
+        found[0, k] = angle
+        found[1, k] = speed
+        found[2, k] = net / inertia
+        found[3, k] = net
+        a1 = net / inertia
         v2 = speed + step / 2.0 * a1
-        a2 = _net(t + step / 2.0, v2, model) / model.inertia
+        a2 = _net(slope * max(t + step / 2.0, 0.0), v2, coulomb, viscous) / inertia
         v3 = speed + 0.75 * step * a2
-        a3 = _net(t + 0.75 * step, v3, model) / model.inertia
+        a3 = _net(slope * max(t + 0.75 * step, 0.0), v3, coulomb, viscous) / inertia
         angle += step * (2.0 * speed + 3.0 * v2 + 4.0 * v3) / 9.0
         speed += step * (2.0 * a1 + 3.0 * a2 + 4.0 * a3) / 9.0
-    return outputs
+    return found
 
 
 def block_diagram(model: RampModel, start: float, time: Array, step: float = FIXED_STEP) -> Sensor:
@@ -138,9 +153,12 @@ def block_diagram(model: RampModel, start: float, time: Array, step: float = FIX
     """
     step = min(step, STABLE * model.time_constant)
     count = int(np.ceil(time[-1] / step)) + 2
+    found = _fixed_steps(
+        model.slope, start, (model.coulomb, model.viscous), model.inertia, step, count
+    )
     # the scope shows the solver's last step, not a line between two
     at = np.rint(time / step).astype(int)
-    return Sensor(time, *_fixed_steps(model, start, step, count)[:, at])
+    return Sensor(time, *found[:, at])
 
 
 def smooth_friction(velocity: float, static: float, dynamic: float) -> float:
@@ -187,21 +205,23 @@ def simulate_multibody(model: RampModel, start: float, ratio: float, time: Array
         torque -= smooth_friction(speed, static, model.coulomb)
         return [float(pin.aba(joint, data, np.zeros(1), state, np.array([torque * ratio]))[0])]
 
-    velocity = np.zeros(time.size)
-    driven = time > start
-    span = (start, float(time[-1]))
-    solution = solve_ivp(acceleration, span, [0.0], "BDF", time[driven], rtol=1e-6, atol=1e-8)
-    velocity[driven] = ratio * solution.y[0]
-    return velocity
+    last = float(time[-1])
+    found = [np.zeros(int(np.sum(time <= start)))]
+    moving = time[time > start]
+    if moving.size:
+        solution = solve_ivp(
+            acceleration, (start, last), [0.0], "BDF", moving, rtol=1e-6, atol=1e-8
+        )
+        found.append(ratio * solution.y[0])
+    return np.concatenate(found)
 
 
 def measured_velocity(record: RampRecord) -> tuple[Array, Array]:
     """Return times and mean velocities of a record, differences over SMOOTHING readings, each shape (n,)."""
     time = record.time - record.origin
-    first = time[:-SMOOTHING]
-    last = time[SMOOTHING:]
-    angle = record.angle[SMOOTHING:] - record.angle[:-SMOOTHING]
-    return (first + last) / 2, angle / (last - first)
+    width = min(SMOOTHING, time.size - 1)
+    velocity = (record.angle[width:] - record.angle[:-width]) / (time[width:] - time[:-width])
+    return (time[width:] + time[:-width]) / 2, velocity
 
 
 def _pairs(velocities: dict[str, Array], slides: Mask) -> list[Pair]:
@@ -212,17 +232,21 @@ def _pairs(velocities: dict[str, Array], slides: Mask) -> list[Pair]:
         difference = 100.0 * np.abs(velocities[first] - velocities[second]) / final
         worst = float(difference.max())
         sliding = float(difference[slides].max(initial=0.0))
+        rms = float(np.sqrt(np.mean(difference**2)))
         band = SOURCE_BANDS.get(frozenset((first, second)))
-        within = band is None or worst <= band
-        pairs.append(Pair(first, second, worst, sliding, band, within))
+        pairs.append(Pair(first, second, worst, rms, sliding, band))
     return pairs
 
 
-def _models(model: RampModel, start: float, ratio: float, time: Array) -> dict[str, Array]:
-    """Return the velocities of the three models by name."""
-    return {
-        BLOCK: block_diagram(model, start, time).velocity,
-        MULTIBODY: simulate_multibody(model, start, ratio, time),
+def _models(
+    model: RampModel, start: float, ratio: float, time: Array
+) -> tuple[Sensor, dict[str, Array]]:
+    """Return the block diagram's sensor and the velocities of the three models."""
+    sensor = block_diagram(model, start, time)
+    multibody = simulate_multibody(model, start, ratio, time)
+    return sensor, {
+        BLOCK: sensor.velocity,
+        MULTIBODY: multibody,
         CLOSED: model.velocity(time - start),
     }
 
@@ -238,14 +262,11 @@ def compare(record: RampRecord, model: RampModel, ratio: float) -> FourWay:
     time, experiment = measured_velocity(record)
     keep = time > 0.0
     time = time[keep]
-    velocities = {EXPERIMENT: experiment[keep], **_models(model, 0.0, ratio, time)}
-    source = model._replace(slope=SOURCE_SLOPE)
+    velocities = {EXPERIMENT: experiment[keep], **_models(model, 0.0, ratio, time)[1]}
+    pairs = _pairs(velocities, time > model.break_away_time + SETTLED)
+    source = RampModel(model.coulomb, model.viscous, model.inertia, SOURCE_SLOPE, model.release)
     end = SOURCE_START + model.slope * float(time[-1]) / SOURCE_SLOPE
-    source_time = np.arange(0.0, end, record.tick / 4)
-    return FourWay(
-        time=time,
-        velocities=velocities,
-        pairs=_pairs(velocities, time > model.break_away_time + SETTLED),
-        as_source=block_diagram(source, SOURCE_START, source_time),
-        source_velocities=_models(source, SOURCE_START, ratio, source_time),
-    )
+    own = np.arange(0.0, end, record.tick / 4)
+    sensor, by_source = _models(source, SOURCE_START, ratio, own)
+    slides = own > SOURCE_START + source.break_away_time + SETTLED
+    return FourWay(time, velocities, pairs, sensor, by_source, _pairs(by_source, slides))

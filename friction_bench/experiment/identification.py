@@ -13,24 +13,18 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+from scipy.stats import norm
 
 from friction_bench.experiment.four_way import FourWay, compare
-from friction_bench.experiment.record import (
-    RampModel,
-    RampRecord,
-    SlidingWindow,
-    break_away,
-    sliding_window,
-)
-from friction_bench.experiment.sliding_fit import find_bend, fit_sliding
+from friction_bench.experiment.record import RampModel, RampRecord, break_away, sliding_window
+from friction_bench.experiment.sliding_fit import find_bends, fit_sliding
 from friction_bench.rig.plant import shaft_of
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import VERDICT_NO, IdentificationError
 from rx90_common.estimation.choose import Gain
 
-NORMAL_95 = 1.96
-"""Standard deviations of half a 95 % interval."""
+LEVEL = 0.95
 POORLY_KNOWN = 0.25
 """Standard uncertainty of f_v, relative, from which ramps of one slope are refused."""
 
@@ -73,10 +67,14 @@ class RampFriction:
     @classmethod
     def of(cls, values: Array, covariance: Array, scale: float) -> RampFriction:
         """Return the friction with intervals, for a relative uncertainty of the torque scale."""
-        errors = np.sqrt(np.diag(covariance))
-        estimates = [interval(*pair, scale) for pair in zip(values, errors, strict=True)]
-        inertia = estimates[2] if len(estimates) > 2 else None
-        return cls(estimates[0], estimates[1], inertia, covariance)
+        errors = np.sqrt(np.diag(covariance)).tolist()
+        estimates = [
+            interval(value, error, scale)
+            for value, error in zip(values.tolist(), errors, strict=True)
+        ]
+        return cls(
+            estimates[0], estimates[1], estimates[2] if len(estimates) > 2 else None, covariance
+        )
 
 
 @dataclass(frozen=True)
@@ -129,8 +127,8 @@ class RampIdentification:
 def interval(value: float, random: float, scale: float) -> IntervalEstimate:
     """Return an estimate from its random error and the torque scale's relative uncertainty, which are independent."""
     total = math.hypot(random, value * scale)
-    reach = NORMAL_95 * total
-    return IntervalEstimate(float(value), total, float(value - reach), float(value + reach))
+    reach = total * float(norm.ppf((1 + LEVEL) / 2))
+    return IntervalEstimate(value, total, value - reach, value + reach)
 
 
 def source_formulas(a: float, b: float, m: float) -> tuple[float, float]:
@@ -166,7 +164,12 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
         records: at least one ramp.
         scale_uncertainty: relative standard uncertainty of the torque scale, common to all ramps.
     """
-    _, windows, unused = _usable(records, _straight_window)
+    _, windows, unused = _usable(records, sliding_window)
+    bends = find_bends(windows) if windows else []
+    unused += [
+        _bent(window.record, bend) for window, bend in zip(windows, bends, strict=True) if bend
+    ]
+    windows = [window for window, bend in zip(windows, bends, strict=True) if not bend]
     if not windows:
         raise unused[0]
     fit = fit_sliding(windows)
@@ -198,16 +201,11 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
     )
 
 
-def _straight_window(record: RampRecord) -> SlidingWindow:
-    """Return where the shaft slides; refuse a ramp whose velocity is bent there."""
-    window = sliding_window(record)
-    bend = find_bend(window)
-    if bend is not None:
-        raise IdentificationError(
-            f"{record.label}: the velocity follows no straight asymptote, its slope goes from "
-            f"{bend[0]:.4g} to {bend[1]:.4g} rad/s²; saturation, or a transient that is not over"
-        )
-    return window
+def _bent(record: RampRecord, slopes: tuple[float, float]) -> IdentificationError:
+    return IdentificationError(
+        f"{record.label}: the velocity follows no straight asymptote, its slope goes from "
+        f"{slopes[0]:.4g} to {slopes[1]:.4g} rad/s²; saturation, or a transient that is not over"
+    )
 
 
 class JointFrictionEstimate(NamedTuple):
@@ -219,28 +217,37 @@ class JointFrictionEstimate(NamedTuple):
     joint_side_viscous: IntervalEstimate
 
 
-def joint_friction(unloaded: RampFriction, loaded: RampFriction, rig: Rig) -> JointFrictionEstimate:
+def difference(
+    high: RampFriction, low: RampFriction, scale: float, factors: tuple[float, float] = (1.0, 1.0)
+) -> tuple[IntervalEstimate, IntervalEstimate]:
+    """Return the differences of f_c and f_v between two measurements on the same torque scale, at the joint.
+
+    Args:
+        high: at the motor.
+        low: the other one, at the motor.
+        scale: relative standard uncertainty of the conversion of torques, which scales the difference and counts once.
+        factors: conversion factors of f_c and f_v.
+    """
+    estimates = []
+    for index, factor in enumerate(factors):
+        value = (high.coulomb, high.viscous)[index].value - (low.coulomb, low.viscous)[index].value
+        random = math.sqrt(high.covariance[index, index] + low.covariance[index, index])
+        estimates.append(interval(value * factor, random * factor, scale))
+    return estimates[0], estimates[1]
+
+
+def joint_friction(
+    unloaded: RampIdentification, loaded: RampIdentification, rig: Rig
+) -> JointFrictionEstimate:
     """Return f_joint = f_load - f_noload with propagated uncertainty.
 
     Both were measured on the same torque scale: its error scales the difference and counts once.
     The gear takes the torque to the joint's side with n eta, the viscous coefficient with n^2 eta.
-
-    Args:
-        unloaded: at the motor.
-        loaded: at the motor.
-        rig: with its scale and its gear.
     """
-    coulomb = loaded.coulomb.value - unloaded.coulomb.value
-    viscous = loaded.viscous.value - unloaded.viscous.value
-    errors = np.sqrt(np.diag(loaded.covariance)[:2] + np.diag(unloaded.covariance)[:2])
-    scale = rig.torque.scale_uncertainty
-    of_joint = rig.joint_scale, rig.joint_scale * rig.gear.ratio
-    joint_scale = rig.joint_scale_uncertainty
+    factors = rig.joint_scale, rig.joint_scale * rig.gear.ratio
+    motor = difference(loaded.best, unloaded.best, rig.torque.scale_uncertainty)
     return JointFrictionEstimate(
-        coulomb=interval(coulomb, errors[0], scale),
-        viscous=interval(viscous, errors[1], scale),
-        joint_side_coulomb=interval(coulomb * of_joint[0], errors[0] * of_joint[0], joint_scale),
-        joint_side_viscous=interval(viscous * of_joint[1], errors[1] * of_joint[1], joint_scale),
+        *motor, *difference(loaded.best, unloaded.best, rig.joint_scale_uncertainty, factors)
     )
 
 
@@ -282,7 +289,7 @@ SOURCE_STATES = SourceEvaluation(
 """What it does state."""
 
 
-def evaluate_as_source(parts: Mapping[str, RampIdentification]) -> SourceEvaluation:
+def evaluate_as_source(loads: Mapping[str, Sequence[RampRecord]]) -> SourceEvaluation:
     """Evaluate as the source does: a line through each ramp's velocities, counts of a tick divided by its time.
 
     Each velocity belongs to the middle of its tick, and the line is fitted to those of a sliding shaft; the source
@@ -290,22 +297,25 @@ def evaluate_as_source(parts: Mapping[str, RampIdentification]) -> SourceEvaluat
     subtracts rounded figures: so does this function.
     """
     figures = {}
-    for name, part in parts.items():
+    for name, records in loads.items():
         rows = []
-        for ramp in part.ramps:
-            time = ramp.record.time - ramp.record.origin
+        for window in _usable(records, sliding_window)[1]:
+            record = window.record
+            time = record.time - record.origin
+            angle = np.degrees(record.angle)
             middle = (time[1:] + time[:-1]) / 2
-            velocity = np.diff(np.degrees(ramp.record.angle)) / np.diff(time)
-            sliding = middle > ramp.time[0]
+            velocity = np.diff(angle) / np.diff(time)
+            sliding = middle > window.time[0]
             a, minus_b = np.polyfit(middle[sliding], velocity[sliding], 1)
-            rows.append((a, -minus_b, *source_formulas(a, -minus_b, ramp.slope)))
-        a, b, coulomb, viscous = np.mean(rows, axis=0).tolist()
-        spread = float(np.std([row[2] for row in rows], ddof=1)) if len(rows) > 1 else 0.0
-        total = round(coulomb + (viscous if name == "no-load" else 0.0), 3)
-        figures[name] = SourceFigures(a, b, coulomb, viscous, spread, len(rows), total)
-    joint = None
-    if len(figures) == 2:
-        joint = round(figures["loaded"].total - figures["no-load"].total, 3)
+            rows.append((a, -minus_b, *source_formulas(a, -minus_b, record.slope)))
+        if rows:
+            a, b, coulomb, viscous = np.mean(rows, axis=0).tolist()
+            spread = float(np.std([row[2] for row in rows], ddof=1)) if len(rows) > 1 else 0.0
+            total = round(coulomb + (viscous if name == "no-load" else 0.0), 3)
+            figures[name] = SourceFigures(a, b, coulomb, viscous, spread, len(rows), total)
+    joint = (
+        round(figures["loaded"].total - figures["no-load"].total, 3) if len(figures) == 2 else None
+    )
     return SourceEvaluation(figures, joint)
 
 
@@ -345,13 +355,12 @@ class RampTestResult:
                 f"{single} had one slope: f_c contains J a, whose size is unknown; "
                 "run two slopes, and each several times"
             )
-        coulomb, viscous = self.written
-        reasons = []
-        if coulomb.value <= 0.0:
-            reasons.append(f"{of} Coulomb friction is {coulomb} Nm; accepted: > 0. {remedy}")
-        if viscous.value <= 0.0:
-            reasons.append(f"{of} viscous friction is {viscous} Nm s/rad; accepted: > 0. {remedy}")
-        return tuple(reasons)
+        quantities = zip(("Coulomb", "viscous"), self.written, ("Nm", "Nm s/rad"), strict=True)
+        return tuple(
+            f"{of} {name} friction is {estimate} {unit}; accepted: > 0. {remedy}"
+            for name, estimate, unit in quantities
+            if estimate.value <= 0.0
+        )
 
 
 def evaluate(records: Sequence[RampRecord], rig: Rig, as_source: bool = False) -> RampTestResult:
@@ -372,12 +381,11 @@ def evaluate(records: Sequence[RampRecord], rig: Rig, as_source: bool = False) -
     )
     if not parts:
         raise refusals[0]
-    joint = joint_friction(parts[0].best, parts[1].best, rig) if len(parts) == 2 else None
+    joint = joint_friction(parts[0], parts[1], rig) if len(parts) == 2 else None
     comparison = _compare_models(parts[-1], rig)
-    named = dict(zip(names, parts, strict=True))
-    by_source = evaluate_as_source(named) if as_source else None
-    failures = tuple(map(str, refusals))
-    return RampTestResult([*named.items()], joint, comparison, failures, by_source)
+    by_source = evaluate_as_source(loads) if as_source else None
+    named = list(zip(names, parts, strict=True))
+    return RampTestResult(named, joint, comparison, tuple(map(str, refusals)), by_source)
 
 
 def _compare_models(part: RampIdentification, rig: Rig) -> FourWay | None:

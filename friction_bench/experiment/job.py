@@ -12,6 +12,7 @@ from friction_bench.experiment.identification import evaluate
 from friction_bench.experiment.record import (
     RampRecord,
     read_csv,
+    read_text,
     sliding_window,
     write_csv,
 )
@@ -19,8 +20,8 @@ from friction_bench.experiment.report import write_friction, write_result
 from friction_bench.experiment.session import (
     LIMITS_SHARE,
     armed,
+    last_near_limits,
     measuring,
-    near_limits,
     new_measurement,
     refuse_fault,
     sample_columns,
@@ -32,8 +33,9 @@ from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.messages import Command, RigError, State
 from friction_bench.rig.rig_file import TRAVEL_UNIT, RampPlan, Rig, load_rig
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError, IdentificationError
+from rx90_common.base.models import refusals
 from rx90_common.base.quoting import counted, one_line, quoted
-from rx90_common.base.share import resolve_config
+from rx90_common.base.share import SHIPPED_RIG, SOURCE_RIG, resolve_config
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction.friction_file import FrictionFile, refuse_parts
 
@@ -99,7 +101,7 @@ def _follow(
     client: RigClient, first: list[Sample], on_sample: Callable[[Sample], None]
 ) -> list[Sample]:
     samples = [sample for sample in first if sample.report.state == State.RAMPING]
-    while not near_limits(client.rig, [sample.counts for sample in samples]):
+    while not last_near_limits(client.rig, samples):
         for sample in client.pump():
             refuse_fault(sample)
             if sample.report.ramp_done:
@@ -160,8 +162,11 @@ def plan_from(first: RampRecord, plan: RampPlan, rig: Rig) -> RampPlan:
     farthest = LIMITS_SHARE * travel * TRAVEL_UNIT * first.angle_step
     slowest = rise**2 / (2.0 * viscous * farthest)  # slower ones turn the shaft too far
     slopes = plan.slopes
-    suitable = slowest <= min(slopes) <= max(slopes) / MIN_SLOPE_RATIO
-    if not suitable or max(slopes) > fastest:
+    if not (
+        max(slopes) <= fastest
+        and min(slopes) >= slowest
+        and max(slopes) >= MIN_SLOPE_RATIO * min(slopes)
+    ):
         high = min(max(fastest, SLOPE_RATIO * slowest), max(slopes))
         low = max(high / SLOPE_RATIO, rig.slope_of_step(1))
         slopes = (float(f"{low:.3g}"), float(f"{high:.3g}"))
@@ -176,7 +181,9 @@ def run(options: argparse.Namespace) -> int:
     Returns:
         The exit code: 1 if a requested load has no estimate.
     """
-    rig = load_rig(resolve_config(options.rig))
+    rig = load_rig(
+        resolve_config(SOURCE_RIG if options.source and options.rig == SHIPPED_RIG else options.rig)
+    )
     out: Path = options.output
     path = RobotFiles.of_options(options).friction
     base = FrictionFile.read(path)
@@ -194,17 +201,22 @@ def run(options: argparse.Namespace) -> int:
     found = evaluate(records, rig, options.source)
     write_result(out, found, rig, origin)
     print(one_line(f"report: {out / 'report.html'}"))
+    if found.failures:
+        print(
+            "parameters for rx90_sim: not written, as a load carries no estimate", file=sys.stderr
+        )
+        return VERDICT_NO
     for text in found.unphysical:
         print(one_line(f"not physical: {text}"), file=sys.stderr)
-    if found.failures or found.written[0].value <= 0.0:
-        print(
-            "parameters for rx90_sim: not written, as a load has no estimate of positive Coulomb friction",
-            file=sys.stderr,
-        )
-    else:
+    if found.written[0].value > 0.0:
         write_friction(out / "friction.yaml", found, options.element, base)
         print(one_line(f"parameters for rx90_sim: {out / 'friction.yaml'}"))
-    return VERDICT_NO if found.failures or found.unphysical else DONE
+    else:
+        print(
+            "parameters for rx90_sim: not written, as the Coulomb friction is not positive",
+            file=sys.stderr,
+        )
+    return VERDICT_NO if found.unphysical else DONE
 
 
 def _check(options: argparse.Namespace, base: FrictionFile, path: Path) -> None:
@@ -215,19 +227,30 @@ def _check(options: argparse.Namespace, base: FrictionFile, path: Path) -> None:
         raise ConfigError(f"--element is {quoted(options.element)}; accepted: {known}")
     replaced = {options.element: elements[options.element]}
     refuse_parts(replaced, "the element that a ramp test replaces", f"{path}: elements.")
+    seed_of(options.port)
 
 
 def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
-    plan = rig.ramps
-    if options.slopes:
-        plan = plan.replaced(slopes=tuple(dict.fromkeys(options.slopes)))
-    if options.end_torque is not None:
-        plan = plan.replaced(end_torque=options.end_torque, end_torque_loaded=options.end_torque)
-    if options.repeats:
-        plan = plan.replaced(repeats=options.repeats)
-    for slope in plan.slopes:
+    slopes = tuple(options.slopes or rig.ramps.slopes)
+    torque = options.end_torque
+    if torque is not None and not 0.0 < torque <= rig.torque.dac_full_scale:
+        raise ConfigError(
+            f"--end-torque is {torque:g}; accepted: (0, {rig.torque.dac_full_scale:g}] Nm"
+        )
+    for slope in slopes:
         rig.ramp_step(slope)
-    return plan
+        if slopes.count(slope) > 1:
+            raise ConfigError(
+                f"--slopes has {slope:g} twice; accepted: each slope once, and --repeats for more ramps"
+            )
+    with refusals(RampPlan):
+        return RampPlan(
+            slopes=slopes,
+            end_torque=torque or rig.ramps.end_torque,
+            end_torque_loaded=torque or rig.ramps.end_torque_loaded,
+            repeats=options.repeats or rig.ramps.repeats,
+            hold=rig.ramps.hold,
+        )
 
 
 def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[RampRecord]:
@@ -251,7 +274,10 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[Ramp
             chosen = plan_from(first, plan, rig)
             slopes = plan.slopes if options.slopes else chosen.slopes
             chosen = chosen.replaced(slopes=slopes, repeats=options.repeats or chosen.repeats)
-            bar.total = round(bar.total + chosen.duration(loaded) - plan.duration(loaded), 1)
+            if chosen != plan:
+                text = f"{' and '.join(f'{slope:g}' for slope in slopes)} Nm/s, {chosen.repeats} repeats"
+                bar.write(f"{LOADS[loaded]}: {text}, by the first ramp", sys.stderr)
+                bar.total = round(bar.total + chosen.duration(loaded) - plan.duration(loaded), 1)
             return chosen
 
         for loaded in loads:
@@ -259,8 +285,9 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[Ramp
             try:
                 planned = plan.replaced(slopes=(plan.slopes[loaded],)) if options.source else plan
                 run_planned(run_one, planned, loaded, choose)
-            except IdentificationError as error:
-                # earlier measurements are on disk, and are evaluated
+            except (
+                IdentificationError
+            ) as error:  # earlier measurements are on disk, and are evaluated
                 bar.write(f"{error}; no more ramps", sys.stderr)
                 break
     return records
@@ -279,5 +306,10 @@ def _read(options: argparse.Namespace, rig: Rig) -> list[RampRecord]:
                 raise ConfigError(
                     f"file is {quoted(entry)}; accepted: slope:file, for example 0.05:ramp_01.csv"
                 )
-            records.append(read_csv(Path(file), slope, rig.angle_step, loaded))
+            if options.text:
+                records.append(
+                    read_text(Path(file), options.text, slope, rig.angle_step, rig.tick, loaded)
+                )
+            else:
+                records.append(read_csv(Path(file), slope, rig.angle_step, loaded))
     return records

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from collections.abc import Mapping
+from typing import Final
 
 import numpy as np
 from bokeh.plotting import figure
 
-from friction_bench.experiment.four_way import FourWay, measured_velocity
+from friction_bench.experiment.four_way import EXPERIMENT, FourWay, measured_velocity
 from friction_bench.experiment.identification import RampIdentification, slopes_of
 from rx90_common.report.charts import chart, over_one_x
 from rx90_common.report.style import COLOURS, GREY, INK
@@ -41,6 +42,23 @@ def velocities(part: RampIdentification) -> list[figure]:
     return [*figures, deviations]
 
 
+def loads(parts: Mapping[str, RampIdentification]) -> figure:
+    """Show a ramp of each load, by its name, and slope on the same axes."""
+    shown = chart("", "motor torque m t, Nm", "motor velocity, rad/s", height=240)
+    for k, (name, part) in enumerate(parts.items()):
+        for j, slope in enumerate(slopes_of(part.ramps)):
+            ramp = next(ramp for ramp in part.ramps if ramp.slope == slope)
+            time, velocity = measured_velocity(ramp.record)
+            shown.line(
+                time * ramp.slope,
+                velocity,
+                name=f"{name}, {slope:.3g} Nm/s",
+                color=COLOURS[k],
+                line_dash=_DASHES[j % len(_DASHES)],
+            )
+    return shown
+
+
 def four_ways(comparison: FourWay) -> list[figure]:
     """Show the four velocities and their differences from the closed form (figures 7 and 8)."""
     above = chart("", "", "motor velocity, rad/s")
@@ -48,9 +66,24 @@ def four_ways(comparison: FourWay) -> list[figure]:
     over_one_x([above, below], _TIME)
     *_, closed = comparison.velocities.values()
     for k, (name, velocity) in enumerate(comparison.velocities.items()):
-        look: dict[str, Any] = {"name": name, "color": COLOURS[k], "line_dash": _DASHES[k]}
-        above.line(comparison.time, velocity, **look)
-        below.line(comparison.time, 100 * (velocity - closed) / closed[-1], **look)
+        width = 1.0 if name == EXPERIMENT else 1.8
+        above.line(
+            comparison.time,
+            velocity,
+            name=name,
+            color=COLOURS[k],
+            line_width=width,
+            line_dash=_DASHES[k],
+        )
+        difference = 100 * (velocity - closed) / closed[-1]
+        below.line(
+            comparison.time,
+            difference,
+            name=name,
+            color=COLOURS[k],
+            line_width=width,
+            line_dash=_DASHES[k],
+        )
     return [above, below]
 
 
@@ -59,7 +92,14 @@ def source_input(comparison: FourWay) -> list[figure]:
     sensor = comparison.as_source
     velocity = chart("velocity", "time, s", "motor velocity, rad/s")
     for k, (name, values) in enumerate(comparison.source_velocities.items()):
-        velocity.line(sensor.time, values, name=name, color=COLOURS[k + 1], line_dash=_DASHES[k])
+        velocity.line(
+            sensor.time,
+            values,
+            name=name,
+            color=COLOURS[k + 1],
+            line_width=1.8,
+            line_dash=_DASHES[k],
+        )
     figures = [velocity]
     for title, values, unit in (
         ("position", sensor.position, "rad"),

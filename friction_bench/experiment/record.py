@@ -1,10 +1,13 @@
-"""One ramp test as data: from a rig or a CSV file; its sliding part.
+"""One ramp test as data: from a rig, a CSV file, or the plain text that the source's program saved; its sliding part.
 
 Useless ramps are refused here, by `first_motion` and `sliding_window`.
 """
 
 from __future__ import annotations
 
+import csv
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,12 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import IdentificationError, Rx90Error
+from rx90_common.base.errors import ConfigError, IdentificationError, Rx90Error
 from rx90_common.base.quoting import counted, quoted
 from rx90_common.base.text_lines import read_lines
 from rx90_common.process.files import atomic_files
 
 CSV_COLUMNS = ("time", "counts", "torque", "measured_torque")
+INSTANTANEOUS = "instantaneous-velocity"
 MOVED_COUNTS = 2.0
 MOVED_SHARE = 1e-3
 """Break-away is certain after two counts (one may be jitter at an edge) and this share of the ramp's angle
@@ -34,9 +38,12 @@ ONSET_TICKS = 5
 """Break-away is fitted to this many readings after the first certain motion."""
 EARLIER_TICKS = 25
 """It is sought in this many readings before that."""
+SATURATION_LIMIT = 0.06
+"""Relative shortfall of the measured torque that counts as saturation."""
 
 
-class RampModel(NamedTuple):
+@dataclass(frozen=True)
+class RampModel:
     """Equation 3 under a ramp torque in closed form, one side of the gear: J w' = m t - f_v w - f_c sgn w.
 
     Friction f_c in Nm and f_v in Nm s/rad, inertia J in kg m², slope m in Nm/s. Break-away at t_b = (f_c + f_r) / m,
@@ -125,6 +132,10 @@ class RampRecord:
         if steps.min() <= 0.0:
             row = int(np.argmin(steps)) + 2
             raise RecordError(f"{self.label}: time does not increase at reading {row}")
+        if not (math.isfinite(self.slope) and self.slope > 0.0):
+            raise RecordError(
+                f"{self.label}: slope m is {self.slope:g} Nm/s; accepted: a number > 0"
+            )
 
     @cached_property
     def tick(self) -> float:
@@ -147,35 +158,39 @@ class RampRecord:
         return float(np.mean(middle - self.torque[rising] / self.slope))
 
 
+def _rows(path: Path, split: Callable[[str], list[str]]) -> list[tuple[int, list[str]]]:
+    """Return number and fields of each line that holds some; lines that start with # or % are comments."""
+    try:
+        rows = [(number, split(line)) for number, line in enumerate(read_lines(path), 1)]
+    except csv.Error as error:
+        raise RecordError(f"{path}: cannot be read ({error})") from error
+    except ConfigError as error:
+        raise RecordError(str(error)) from error
+    return [(number, row) for number, row in rows if any(row) and not row[0].startswith(("#", "%"))]
+
+
 def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) -> RampRecord:
     """Read a CSV file with a header of `time` (s) and `counts`, and perhaps `torque`, `measured_torque` (Nm).
 
     Lines that start with # are comments.
 
     Raises:
-        ConfigError, RecordError: naming the line of what cannot be used.
+        RecordError: naming line and column of what cannot be used.
     """
-    rows = []
-    for number, line in enumerate(read_lines(path), 1):
-        fields = [field.strip(' "\n') for field in line.split(",")]
-        if any(fields) and not line.startswith("#"):
-            rows.append((number, fields))
-    header = rows.pop(0)[1] if rows else []
-    for name in CSV_COLUMNS[:2]:
-        if name not in header:
+    rows = _rows(path, lambda line: next(csv.reader([line]), []))
+    if not rows:
+        raise RecordError(f"{path}: is empty; accepted: a header and at least 2 readings")
+    header = [name.strip() for name in rows.pop(0)[1]]
+    columns: dict[str, Array] = {}
+    for name in CSV_COLUMNS:
+        if name in header:
+            at = header.index(name)
+            columns[name] = np.array(
+                [_number(path, line, name, row[at : at + 1]) for line, row in rows]
+            )
+        elif name in CSV_COLUMNS[:2]:
             lacking = f"column {quoted(name)} is missing, found {quoted(', '.join(header)[:80])}"
             raise RecordError(f"{path}: {lacking}; accepted: {', '.join(CSV_COLUMNS)}")
-    table = []
-    for number, fields in rows:
-        try:
-            values = [float(field) for field in fields]
-        except ValueError:
-            values = []
-        if len(values) != len(header):
-            holds = f"line {number} holds {quoted(', '.join(fields)[:80])}"
-            raise RecordError(f"{path}: {holds}; accepted: {counted(len(header), 'number')}")
-        table.append(values)
-    columns = dict(zip(header, np.array(table).reshape(-1, len(header)).T, strict=True))
     return RampRecord(
         time=columns["time"],
         angle=columns["counts"] * angle_step,
@@ -188,21 +203,83 @@ def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) 
     )
 
 
+def _number(path: Path, line: int, name: str, field: list[str]) -> float:
+    """Return the number that a field of a line, which may lack it, holds."""
+    try:
+        return float(field[0])
+    except (IndexError, ValueError):
+        found = quoted(field[0] if field else "nothing")
+        raise RecordError(
+            f"{path}: line {line}, column {name} holds {found}; accepted: a number"
+        ) from None
+
+
 def write_csv(record: RampRecord, path: Path) -> None:
     """Write a record so that `read_csv` gives it back."""
-    counts = np.rint(record.angle / record.angle_step)
+    counts = np.rint(record.angle / record.angle_step).astype(int)
     columns = record.time, counts, record.torque, record.measured_torque
     known = {
-        name: column
+        name: column.tolist()
         for name, column in zip(CSV_COLUMNS, columns, strict=True)
         if column is not None
     }
-    header = f"# {record.label}, slope {record.slope!r} Nm/s\n{','.join(known)}"
-    with atomic_files(path) as (temporary,):
-        # %s is the shortest text that gives a number back
-        formats = ["%d" if name == "counts" else "%s" for name in known]
-        table = np.column_stack([*known.values()])
-        np.savetxt(temporary, table, formats, ",", header=header, comments="", encoding="utf-8")
+    with (
+        atomic_files(path) as (temporary,),
+        temporary.open("w", newline="", encoding="utf-8") as stream,
+    ):
+        stream.write(f"# {record.label}, slope {record.slope!r} Nm/s\n")
+        writer = csv.writer(stream)
+        writer.writerow(known)
+        writer.writerows(zip(*known.values(), strict=True))
+
+
+def read_text(
+    path: Path, kind: str, slope: float, angle_step: float, tick: float, loaded: bool = False
+) -> RampRecord:
+    """Read the plain text of the source's program: one reading per line, every 20 ms.
+
+    A line holds one number, or time (s) and one number; tabs, blanks, commas and semicolons separate.
+    The paper does not describe the numbers, so `kind` does: `increments` (pulses since the last
+    reading), `counts` (pulses in all), `velocity` (rad/s, mean since the last reading), or `instantaneous velocity`
+    (rad/s, at the reading).
+
+    Raises:
+        RecordError: naming file and line of what cannot be used.
+    """
+    rows = []
+    for line, words in _rows(path, lambda line: line.replace(",", " ").replace(";", " ").split()):
+        try:
+            rows.append([float(word) for word in words])
+        except ValueError:
+            raise RecordError(
+                f"{path}: line {line} holds {quoted(' '.join(words))}; accepted: numbers"
+            ) from None
+        if len(words) not in {1, 2} or len(words) != len(rows[0]):
+            holds = f"line {line} holds {counted(len(words), 'number')}"
+            raise RecordError(f"{path}: {holds}; accepted: 1 or 2, the same on every line")
+    if len(rows) < 2:
+        raise RecordError(f"{path}: {counted(len(rows), 'reading')}; accepted: at least 2")
+    table = np.array(rows)
+    values: Array = table[:, -1]
+    time: Array = (
+        table[:, 0] if table.shape[1] == 2 else tick * np.arange(1, len(rows) + 1, dtype=np.float64)
+    )
+    step = float(np.median(np.diff(time)))
+    if not tick / 2 <= step <= tick * 2:
+        raise RecordError(
+            f"{path}: its first column, read as time, advances by {step:.3g} a line; "
+            f"accepted: s, about {tick:g} a line, and a point for decimals"
+        )
+    if kind == "counts":
+        angle = values * angle_step
+    elif kind == "increments":
+        angle = np.cumsum(values) * angle_step
+    else:
+        # by the trapezoidal rule, from a reading at rest before the first one
+        if kind == INSTANTANEOUS:
+            values = (values + np.concatenate(([0.0], values[:-1]))) / 2
+        angle = np.cumsum(values * np.diff(time, prepend=time[0] - tick))
+    return RampRecord(time, np.asarray(angle), slope, angle_step, loaded=loaded, label=path.name)
 
 
 class SlidingWindow(NamedTuple):
@@ -249,17 +326,22 @@ def break_away(record: RampRecord, asymptote: tuple[float, float], T: float | No
     time, angle, first = first_motion(record)
     a, b = asymptote
     latest = float(time[first])
+    earliest = latest - EARLIER_TICKS * record.tick
     if T is None:
         latest = min(latest, b / a - 1e-3 * record.tick)
-    bounds = (latest - EARLIER_TICKS * record.tick, latest)
+    else:
+        earliest = min(max(b / a - T, earliest), latest - record.tick)
     onset = slice(max(first - 2, 0), first + ONSET_TICKS)
 
     def misfit(moment: float) -> float:
-        constant = b / a - moment if T is None else T
-        released = RampModel(b - a * constant, 1.0, constant, a, (moment + constant) * a - b)
+        released = RampModel(moment * a, 1.0, b / a - moment, a)
+        if T is not None:
+            released = RampModel(b - a * T, 1.0, T, a, (moment + T) * a - b)
         return float(np.sum((released.angle(time[onset]) - angle[onset]) ** 2))
 
-    return float(minimize_scalar(misfit, bounds=bounds, method="bounded").x)
+    return float(
+        minimize_scalar(misfit, bounds=(min(earliest, latest), latest), method="bounded").x
+    )
 
 
 def _stays_beyond(angle: Array, threshold: float) -> int:
@@ -296,4 +378,16 @@ def first_motion(record: RampRecord) -> tuple[Array, Array, int]:
     first = _stays_beyond(angle, max(moved, MOVED_SHARE * angle[-1]))
     if first == 0:
         refuse("the shaft moves at the first reading; a ramp starts from rest")
+    n = time.size // 5
+    if torque is not None and record.measured_torque is not None and n > 0:
+        # A reading is made just before the tick at which the command changes: it belongs to the previous one.
+        command = torque[:-1]
+        measured = record.measured_torque[1:]
+        scale = float(np.sum(measured[n : 3 * n]) / np.sum(command[n : 3 * n]))
+        shortfall = 1.0 - float(np.mean(measured[-n:]) / np.mean(command[-n:])) / scale
+        if shortfall > SATURATION_LIMIT:
+            refuse(
+                f"the measured torque falls {100 * shortfall:.0f} % behind the command at the ramp's end; "
+                "the amplifier saturates, end the ramp earlier"
+            )
     return time, angle, first

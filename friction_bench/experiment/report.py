@@ -9,13 +9,14 @@ from typing import Any
 from bokeh.plotting import figure
 
 from friction_bench.experiment import four_way
+from friction_bench.experiment.four_way import Pair
 from friction_bench.experiment.identification import (
     SOURCE_STATES,
     IntervalEstimate,
     RampFriction,
     RampTestResult,
 )
-from friction_bench.experiment.plots import four_ways, source_input, velocities
+from friction_bench.experiment.plots import four_ways, loads, source_input, velocities
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.config import yaml_text
 from rx90_common.friction import FrictionElement
@@ -27,8 +28,8 @@ STATIC = (
     "not identifiable by ramps; torque noise releases the shaft before it is reached, and the friction falls from it "
     "within one or two readings"
 )
-PRESLIDING = 1e-4
-"""Of the YAML's bristles, rad, with critical-like damping: assumed, because a ramp test cannot determine it."""
+STIFFNESS_SHARE = 1e-4
+"""Presliding of the YAML's bristles, rad: assumed, because a ramp test cannot determine it."""
 METHODS = "source, m b / a", "exact, by covariance"
 
 
@@ -75,13 +76,17 @@ def write_result(out: Path, found: RampTestResult, rig: Rig, origin: str) -> Non
             "motor_side": add("joint, at the motor", *found.joint[:2]),
             "joint_side": add("joint, joint side", *found.joint[2:]),
         }
+        lines.append(f"joint side: {rig.joint_side_reason}")
     if found.as_source is not None:
         document["as_source"] = {
             name: figures._asdict() for name, figures in found.as_source.loads.items()
         }
         document["as_source"]["f_joint"] = found.as_source.joint
     if found.comparison is not None:
-        document["comparison"] = [pair._asdict() for pair in found.comparison.pairs]
+        document["comparison"] = [
+            pair._asdict() | {"within": pair.within} for pair in found.comparison.pairs
+        ]
+        lines += [_pair_line(pair) for pair in found.comparison.pairs]
         of_models = {
             "compared": four_ways(found.comparison),
             "source_input": source_input(found.comparison),
@@ -95,6 +100,7 @@ def write_result(out: Path, found: RampTestResult, rig: Rig, origin: str) -> Non
         origin=origin,
         rows=rows,
         velocities=[velocities(part) for _, part in found.parts],
+        loads=loads(dict(found.parts)),
         of_models=of_models,
         models=four_way,
         static=STATIC,
@@ -113,10 +119,15 @@ def write_result(out: Path, found: RampTestResult, rig: Rig, origin: str) -> Non
     print("\n".join([*lines, *(f"not used: {reason}" for reason in unused)]))
 
 
+def _pair_line(pair: Pair) -> str:
+    band = (
+        f"; source: ± {pair.band:g} %, {'kept' if pair.within else 'not kept'}" if pair.band else ""
+    )
+    return f"{pair.first} - {pair.second}: {pair.worst:.2g} % worst, {pair.sliding:.2g} % while sliding{band}"
+
+
 def write_friction(path: Path, found: RampTestResult, element: str, base: FrictionFile) -> None:
     """Write friction parameters for rx90_sim; a viscous friction that is not physical becomes 0, marked as assumed.
-
-    tau_s is as much above tau_c as in the element that is replaced.
 
     Args:
         path: file to write.
@@ -125,29 +136,43 @@ def write_friction(path: Path, found: RampTestResult, element: str, base: Fricti
         base: the friction file that gets this element.
     """
     coulomb, viscous = found.written
-    replaced = base.elements[element]
-    stiffness = coulomb.value / PRESLIDING
+    # Assumed are c0 and c1, a presliding of 0.1 mrad with critical-like damping, and tau_s, as much above tau_c as in
+    # the element that is replaced.
+    assumed = base.elements[element]
+    stiffness = coulomb.value / STIFFNESS_SHARE
+    static = coulomb.value * assumed.tau_s.positive / assumed.tau_c.positive
+    viscosity = max(viscous.value, 0.0)
     values = {
         "tau_c": coulomb.value,
-        "tau_s": coulomb.value * replaced.tau_s.positive / replaced.tau_c.positive,
+        "tau_s": static,
         "omega_s": 0.05,
         "delta": 1.0,
         "c0": stiffness,
         "c1": 1e-3 * stiffness,
-        "c2": max(viscous.value, 0.0),
+        "c2": viscosity,
         "omega_d": 1.0,
     }
     measured = FrictionElement.of({name: _rounded(value) for name, value in values.items()})
-    parameters: dict[str, Any] = {
-        name: {"provenance": "assumed", "identifiable": False} for name in values
+    assumption: dict[str, Any] = {"provenance": "assumed", "identifiable": False}
+    identified = "tau_c and c2"
+    of_c2 = {"provenance": "identified", **_interval(viscous)}
+    if viscous.value <= 0.0:
+        identified = "tau_c"
+        of_c2 = {
+            **assumption,
+            "value": _rounded(viscosity),
+            "estimate": _interval(viscous),
+            "reason": found.unphysical[-1],
+        }
+    source = (
+        f"ramp test on the friction rig: {identified} of {element} identified, the rest assumed"
+    )
+    parameters = {
+        "tau_c": {"provenance": "identified", **_interval(coulomb)},
+        "c2": of_c2,
+        "tau_s": {**assumption, "value": _rounded(static), "reason": STATIC},
+        **{name: assumption.copy() for name in ("omega_s", "delta", "c0", "c1", "omega_d")},
     }
-    parameters["tau_s"]["reason"] = STATIC
-    parameters["tau_c"] = {"provenance": "identified", **_interval(coulomb)}
-    if viscous.value > 0.0:
-        parameters["c2"] = {"provenance": "identified", **_interval(viscous)}
-    else:
-        parameters["c2"] |= {"estimate": _interval(viscous), "reason": found.unphysical[-1]}
-    source = f"ramp test on the friction rig: tau_c and c2 of {element} as stated below, the rest assumed"
     elements = {**base.elements.entries, element: measured}
     known = {"parameters": {element: parameters}}
     file = FrictionFile.of(elements, provenance="assumed", source=source, identification=known)

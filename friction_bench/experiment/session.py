@@ -10,8 +10,8 @@ import contextlib
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,12 +26,13 @@ from friction_bench.rig.rig_file import TRAVEL_UNIT, Rig
 from friction_bench.rig.serial_port import SerialPort
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.writing import write_joint_states
-from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, FailureError, write_error
+from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.errors import ConfigError, FailureError, Rx90Error, write_error
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.process.interrupts import deferred_interrupts
 
+_EMULATED = re.compile(r"emulated(?::(\d{1,9}))?")
 REST_TICKS = 10
 """The shaft is at rest when it has not moved for so many ticks."""
 REST_TIMEOUT = 30.0
@@ -40,15 +41,17 @@ LIMITS_SHARE = 0.9
 SPEED_TICKS = 5
 """Ticks over which the speed is averaged for that."""
 
+_BAR = "{desc} {bar} {n:.0f}/{total:.0f} s [{elapsed}<{remaining}{postfix}]"
+
 
 def seed_of(port: str) -> int | None:
     """Return the seed of the emulated rig that a port names, None of a serial line."""
-    name, _, seed = port.partition(":")
-    if name != "emulated":
-        return None
-    if not re.fullmatch(r"\d{0,9}", seed):
-        raise ConfigError(f"--port {quoted(port)}; accepted: emulated:SEED such as emulated:7")
-    return int(seed or 0)
+    emulated = _EMULATED.fullmatch(port)
+    if emulated is None and port.startswith("emulated"):
+        raise ConfigError(
+            f"--port {quoted(port)}; accepted: emulated, emulated:SEED such as emulated:7, a serial line"
+        )
+    return None if emulated is None else int(emulated[1] or 0)
 
 
 def opened(port: str, rig: Rig) -> tuple[Port, Callable[[bool], None] | None]:
@@ -104,6 +107,7 @@ def measuring(options: argparse.Namespace, rig: Rig, seconds: float) -> Iterator
         seconds: expected duration.
     """
     out: Path = options.output
+    new_measurement(out)
 
     def ask(loaded: bool) -> None:
         """Let the person at the rig couple the joint or take it off; the rig is disarmed meanwhile."""
@@ -121,18 +125,25 @@ def measuring(options: argparse.Namespace, rig: Rig, seconds: float) -> Iterator
             ) from None
         session.client.connect()
 
-    port, couple = opened(options.port, rig)
-    with (
-        contextlib.closing(port),
-        tqdm(total=round(seconds, 1), unit="s", desc="ramps", disable=None) as bar,
-    ):
-        new_measurement(out)
-        session = Session(RigClient(port, rig), couple or ask, bar)
+    with ExitStack() as resources:
         try:
-            session.client.connect()
-            yield session
+            port, couple = opened(options.port, rig)
+        except Rx90Error:
+            out.rmdir()
+            raise
+        resources.callback(port.close)
+        session = Session(RigClient(port, rig), couple or ask, None)
+        try:
+            with tqdm(
+                total=round(seconds, 1), unit="s", desc="ramps", disable=None, bar_format=_BAR
+            ) as session.bar:
+                session.client.connect()
+                if options.clear:
+                    session.client.clear()
+                yield session
         finally:
             with deferred_interrupts():  # a second Ctrl-C does not cost the readings
+                resources.close()
                 if session.samples:
                     write_joint_states(out / "bag", readings_series(session.samples, rig))
                 else:
@@ -175,8 +186,7 @@ def refuse_fault(sample: Sample) -> None:
     report = sample.report
     if report.fault != Fault.NONE or report.state == State.FAULT:
         raise RigFaultError(
-            f"the rig switched itself off: {fault_text(report.fault)}; find out why, then clear it "
-            "by rx90 rig selftest"
+            f"the rig switched itself off: {fault_text(report.fault)}; find out why, then clear it"
         )
 
 
@@ -215,18 +225,23 @@ def armed(client: RigClient) -> Iterator[None]:
         raise
 
 
-def near_limits(rig: Rig, counts: Sequence[float] | Array) -> bool:
-    """Tell whether the last reading of a motion lies near the rig's limits of travel or speed.
+def near_limits(rig: Rig, counts: Array) -> Mask:
+    """Tell for each reading of a motion whether it lies near the rig's limits of travel or speed, shape (n,).
 
     Args:
         rig: whose firmware trips at the limits themselves.
         counts: of the encoder since the rig was armed, shape (n,).
     """
-    if len(counts) <= SPEED_TICKS:
-        return False
     travel, speed = rig.limit_codes()
-    moved = abs(counts[-1] - counts[0])
-    recent = abs(counts[-1] - counts[-1 - SPEED_TICKS])
-    return bool(
-        moved > LIMITS_SHARE * travel * TRAVEL_UNIT or recent > LIMITS_SHARE * speed * SPEED_TICKS
-    )
+    moved = np.abs(counts - counts[0])
+    before = np.concatenate((np.zeros(SPEED_TICKS), counts - counts[0]))[: moved.size]
+    too_fast = np.abs(counts - counts[0] - before) > LIMITS_SHARE * speed * SPEED_TICKS
+    return np.asarray((moved > LIMITS_SHARE * travel * TRAVEL_UNIT) | too_fast)
+
+
+def last_near_limits(rig: Rig, samples: list[Sample]) -> bool:
+    """Tell whether the last reading of a motion lies near the rig's limits."""
+    if len(samples) <= SPEED_TICKS:
+        return False
+    window = [samples[0].counts, *(sample.counts for sample in samples[-SPEED_TICKS - 1 :])]
+    return bool(near_limits(rig, np.array(window, dtype=np.float64))[-1])

@@ -12,9 +12,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from friction_bench.experiment.ramp_rows import Alone, Errors, Sliding, slide
 from friction_bench.experiment.record import SlidingWindow
@@ -27,8 +27,8 @@ PASSES = 3
 """Fits, each with what the one before tells of the rows."""
 FIRST_NOISE = 1e-2
 """Intensity of the torque noise over f_v, (rad/s)² s, to begin with."""
-NOISES = np.exp(np.arange(-18.0, 9.0)).tolist()
-"""Intensities of which the most likely one is taken: the deviations hold for any, and estimates hardly depend on it."""
+NOISE_RANGE = range(-18, 10, 2)
+"""Logarithms of intensities between which the noise is sought."""
 SHORTEST = 0.01
 """Least T in ticks: the command's steps, whose sizes differ by a code, still show T far below a tick."""
 LONGEST = 0.25
@@ -44,11 +44,18 @@ LEAST_FREEDOM = 3
 """Ramps beyond one of each slope from which the deviations are those of ramps; with fewer, of stretches of them."""
 STRETCH = 20
 """Readings."""
+SETTLED = 6.0
+"""Time constants after which 0.25 % of the release's transient is left."""
 LEAST_HALF = 15
 """Readings of half a ramp from which a bend is seen."""
-LEAST_BEND = 0.1
-"""Difference of the velocity's slope in both halves, relative, from which a ramp is bent: a transient of an eighth of
-the ramp makes 0.04 of it, and a Stribeck effect up to HIGHEST_VELOCITY less than 0.1."""
+LEAST_BEND = 0.05
+"""Difference of the velocity's slope in both halves, relative, from which a ramp is bent."""
+BEND_DEVIATIONS = 5.0
+"""The same in standard deviations."""
+LONGEST_SETTLING = 0.5
+"""Share of the longest time of sliding that may be left out as the transient."""
+LONGEST_T = 5.0
+"""T in ticks that a fit with an effect may have, whatever the ramps show: a longer one would imitate a bend."""
 DIFFERENCE = 1e-5
 """Step of parameters for difference quotients."""
 _ALPHA, _BETA, _T, _KAPPA, _VELOCITY, _EXPONENT = range(6)
@@ -65,7 +72,7 @@ class RampsFit:
         spread: standard deviations, relative, of the torque's scale and of f_c from ramp to ramp, shape (2,).
         effect: what a Stribeck effect explains.
         velocities: fitted velocity of each ramp at the readings of its window, rad/s.
-        asymptotes: a, rad/s², and b, rad/s, of each ramp.
+        asymptotes: a, rad/s², and b, rad/s, of each ramp: as much of its own as is no noise.
     """
 
     values: Array
@@ -105,12 +112,14 @@ class _Ramps:
         errors: of their angles.
         level: alpha and beta, shape (2,).
         starts: velocity at the first reading of each, rad/s, shape (K,).
+        longest_transient: upper bound of T, s.
     """
 
     windows: Sequence[SlidingWindow]
     errors: Errors
     level: Array
     starts: Array
+    longest_transient: float = math.inf
 
     @classmethod
     def begin(cls, windows: Sequence[SlidingWindow]) -> _Ramps:
@@ -124,6 +133,11 @@ class _Ramps:
     def slopes(self) -> Array:
         """Return the slope of each ramp, Nm/s, shape (K,)."""
         return np.array([window.record.slope for window in self.windows])
+
+    @property
+    def longest(self) -> float:
+        """Return the longest time of sliding, s."""
+        return max(float(np.ptp(window.time)) for window in self.windows)
 
     @property
     def freedom(self) -> int:
@@ -164,22 +178,28 @@ class _Ramps:
             effect: where ln w_s of a Stribeck effect is sought; None without an effect.
         """
         tick = self.windows[0].record.tick
-        longest = max(float(np.ptp(window.time)) for window in self.windows)
+        longest = self.longest
         low, high = effect or self.speeds
-        middle = (low + high) / 2.0
-        range_spread = (high - low) / 2.0
-        usual_T = max(2.5 * tick, 0.05 * longest)
         usual_kappa = USUAL_RISE * max(abs(float(self.level[1])), 1e-9)
-        parameters = [
-            # start, spread, lower, upper
-            (self.level[0], np.inf, -np.inf, np.inf),
-            (self.level[1], np.inf, -np.inf, np.inf),
-            (usual_T, LONGEST * longest, SHORTEST * tick, np.inf),
-            (0.0, usual_kappa, 0.0, np.inf),
-            (middle, range_spread, middle - 3.0 * range_spread, middle + 3.0 * range_spread),
-            (0.0, EXPONENT_DEVIATION, -3.0 * EXPONENT_DEVIATION, 3.0 * EXPONENT_DEVIATION),
-        ]
-        table = np.array(parameters[: _KAPPA if effect is None else None])
+        usual_T = min(max(2.5 * tick, 0.05 * longest), self.longest_transient / 2.0)
+        start = np.array([*self.level, usual_T, 0.0, (low + high) / 2.0, 0.0])
+        spread = np.array(
+            [np.inf, np.inf, LONGEST * longest, usual_kappa, (high - low) / 2.0, EXPONENT_DEVIATION]
+        )
+        lower = np.array(
+            [-np.inf, -np.inf, SHORTEST * tick, 0.0, 2.0 * low - high, -3.0 * EXPONENT_DEVIATION]
+        )
+        upper = np.array(
+            [
+                np.inf,
+                np.inf,
+                self.longest_transient,
+                np.inf,
+                2.0 * high - low,
+                3.0 * EXPONENT_DEVIATION,
+            ]
+        )
+        used = slice(_KAPPA if effect is None else None)
         block = self.block
 
         def model(x: Array) -> tuple[Array, Array]:
@@ -190,12 +210,12 @@ class _Ramps:
             target=np.zeros(len(block)),
             linear=np.empty((len(block), 0)),
             model=model,
-            start=table[:, 0],
-            lower=table[:, 2],
-            upper=table[:, 3],
+            start=start[used],
+            lower=lower[used],
+            upper=upper[used],
             group=np.zeros(len(block), dtype=np.intp),
             block=block,
-            spread=table[:, 1],
+            spread=spread[used],
         )
 
     def _columns(self, k: int, x: Array) -> Array:
@@ -219,16 +239,15 @@ class _Ramps:
     def started(self, x: Array) -> _Ramps:
         """Return the ramps with the velocities at the first readings that fit a model."""
         changes = [self.alone(k, x).change[3] for k in range(len(self.windows))]
-        return replace(self, starts=np.maximum(self.starts + changes, 0.0))
+        highest = [2.0 * _speed(window, slice(0, 4, 3)) for window in self.windows]
+        return replace(self, starts=np.clip(self.starts + changes, 0.0, highest))
 
     def moved(self, x: Array) -> _Ramps:
         """Return the ramps with what a fit tells of their rows."""
-        ramps = replace(self, level=x[:_T]).with_errors(T=float(x[_T])).with_noise(x)
-        return ramps.with_errors(spread=ramps.spread(x)).started(x)
-
-    def with_errors(self, **changes: Any) -> _Ramps:
-        """Return the ramps with other errors of their angles."""
-        return replace(self, errors=replace(self.errors, **changes))
+        ramps = replace(self, level=x[:_T], errors=replace(self.errors, T=float(x[_T])))
+        ramps = ramps.with_noise(x)
+        ramps = replace(ramps, errors=replace(ramps.errors, spread=ramps.spread(x)))
+        return ramps.started(x)
 
     def with_noise(self, x: Array) -> _Ramps:
         """Return the ramps with the intensity of the torque noise by restricted maximum likelihood.
@@ -237,14 +256,21 @@ class _Ramps:
         differences between ramps are no torque noise.
         """
 
-        def misfit(noise: float) -> float:
-            ramps = self.with_errors(noise=noise)
+        def trial(logarithm: float) -> _Ramps:
+            return replace(self, errors=replace(self.errors, noise=math.exp(logarithm)))
+
+        def misfit(logarithm: float) -> float:
+            ramps = trial(logarithm)
             halves = enumerate(self.windows)
             return sum(
                 ramps.alone(k, x, slice(window.time.size // 2, None)).misfit for k, window in halves
             )
 
-        return self.with_errors(noise=min(NOISES, key=misfit))
+        # Below the quantisation the likelihood is flat: the minimum is bracketed first.
+        best = min(NOISE_RANGE, key=misfit)
+        return trial(
+            float(minimize_scalar(misfit, bounds=(best - 2.0, best + 2.0), method="bounded").x)
+        )
 
     def spread(self, x: Array) -> Array:
         """Return the standard deviations of alpha and beta from ramp to ramp of one slope, 0 without repeats.
@@ -262,22 +288,49 @@ class _Ramps:
             squares += np.sum((repeats - repeats.mean(axis=0)) ** 2, axis=0)
         return np.asarray(np.sqrt(np.maximum(squares / self.freedom - noise, 0.0)))
 
+    def level_of(self, k: int, x: Array) -> Array:
+        """Return alpha and beta of a ramp: those of all, and its own difference as far as it is no noise."""
+        ramp = self.alone(k, x)
+        variance = self.errors.spread**2
+        share = variance / (variance + np.diag(ramp.covariance)[:_T])
+        return np.asarray(x[:_T] + share * ramp.change[:_T])
 
-def find_bend(window: SlidingWindow) -> tuple[float, float] | None:
-    """Return the slope of the velocity in both halves of a ramp, rad/s², where it is not the same or none.
+    def bend(self, k: int, x: Array) -> tuple[float, float] | None:
+        """Return the slope of the velocity in both halves of a ramp, rad/s², where it is not the same or none."""
+        window = self.windows[k]
+        first = int(np.searchsorted(window.time, window.time[0] + SETTLED * self.errors.T))
+        middle = (first + window.time.size) // 2
+        if middle - first < LEAST_HALF:
+            return None
+        early = self.alone(k, x, slice(first, middle))
+        late = self.alone(k, x, slice(middle, None))
+        slopes = x[_ALPHA] + np.array([early.change[0], late.change[0]])
+        error = math.sqrt(early.covariance[0, 0] + late.covariance[0, 0])
+        difference = max(BEND_DEVIATIONS * error, LEAST_BEND * float(slopes[0]))
+        if slopes[1] > BEND_DEVIATIONS * error and abs(slopes[1] - slopes[0]) < difference:
+            return None
+        return tuple((window.record.slope * slopes).tolist())
 
-    The ramp's first quarter, with the transient, belongs to neither.
+
+def find_bends(windows: Sequence[SlidingWindow]) -> list[tuple[float, float] | None]:
+    """Return the slope of the velocity in both halves of each ramp, rad/s², where it is not the same or none.
+
+    T is the middle one of those that ramps show by themselves, so that a bent ramp does not change it for others. What
+    a Stribeck effect of all ramps explains is no bend, if they have two slopes: an effect is over at a velocity, a
+    transient at a time.
     """
-    first = window.time.size // 4
-    middle = (first + window.time.size) // 2
-    if middle - first < LEAST_HALF:
-        return None
-    slopes = []
-    for half in (slice(first, middle), slice(middle, None)):
-        slopes.append(2.0 * float(np.polyfit(window.time[half], window.angle[half], 2)[0]))
-    early, late = slopes
-    straight = late > 0.0 and abs(late - early) < LEAST_BEND * early
-    return None if straight else (early, late)
+    ramps = _Ramps.begin(windows)
+    T = float(np.median([_Ramps.begin([window]).fit().x[_T] for window in windows]))
+    T = min(T, LONGEST_SETTLING / SETTLED * ramps.longest)
+    x = np.array([*ramps.level, T])
+    ramps = replace(ramps, errors=replace(ramps.errors, T=T)).with_noise(x)
+    bends = [ramps.bend(k, x) for k in range(len(windows))]
+    if any(bends) and len(np.unique(ramps.slopes)) > 1:
+        bounded = replace(ramps, longest_transient=max(2.0 * T, LONGEST_T * windows[0].record.tick))
+        common, effect = _with_effect(bounded.moved(bounded.fit().x))
+        common = replace(common, errors=ramps.errors)
+        bends = [bend and common.bend(k, effect.x) for k, bend in enumerate(bends)]
+    return bends
 
 
 def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
@@ -312,18 +365,22 @@ def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
             [-T / alpha**2, 0.0, 1.0 / alpha],
         ]
     )
-    shaft = _shaft(result.x)
-    velocities = [
-        slide(window.time, window.torque, float(start), shaft)[1]
-        for window, start in zip(windows, ramps.starts, strict=True)
-    ]
+    velocities = []
+    asymptotes = []
+    for k, window in enumerate(windows):
+        velocities.append(
+            slide(window.time, window.torque, float(ramps.starts[k]), _shaft(result.x))[1]
+        )
+        ramp_alpha, ramp_beta = ramps.level_of(k, result.x).tolist()
+        a = window.record.slope * ramp_alpha
+        asymptotes.append((a, ramp_beta + a * T))
     return RampsFit(
         values=np.array([beta / alpha, 1.0 / alpha, T / alpha]),
         covariance=to_values @ covariance[:_KAPPA, :_KAPPA] @ to_values.T,
         spread=ramps.spread(result.x) / np.abs(result.x[:_T]),
         effect=gain,
         velocities=velocities,
-        asymptotes=[(slope * alpha, beta + slope * alpha * T) for slope in ramps.slopes.tolist()],
+        asymptotes=asymptotes,
     )
 
 

@@ -23,7 +23,7 @@ from friction_bench.rig.messages import Fault, RigInputError, RigLostError, faul
 from friction_bench.rig.rig_file import load_rig
 from friction_bench.rig.serial_port import SerialPort
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_common.base.quoting import one_line
+from rx90_common.base.quoting import one_line, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.share import SHIPPED_RIG, resolve_config
 from rx90_common.exchange.endpoints import REQUEST_QOS, ros_time
@@ -82,18 +82,22 @@ class BenchParameters(NodeModel):
         Raises:
             ConfigError: for a rig's file that is none, and a torque beyond its scale.
         """
-        rig = load_rig(resolve_config(str(given.get("rig", SHIPPED_RIG))))
+        name = given.get("rig", SHIPPED_RIG)
+        if not isinstance(name, str):
+            raise ConfigError(f"parameter rig is {quoted(name)}; accepted: a text")
+        rig = load_rig(resolve_config(name))
+        ramps = rig.ramps
         content = {
             "baud": rig.baud,
-            "ramp_slope": rig.ramps.slopes[0],
-            "ramp_end_torque": rig.ramps.end_torque,
+            "ramp_slope": ramps.slopes[0],
+            "ramp_end_torque": ramps.end_torque,
             **given,
         }
         torque = content["ramp_end_torque"]
-        most = rig.torque.dac_full_scale
-        if isinstance(torque, float) and torque > most:
+        if isinstance(torque, float) and torque > rig.torque.dac_full_scale:
+            most = f"{rig.torque.dac_full_scale:g}"
             raise ConfigError(
-                f"parameter ramp_end_torque is {torque:g}; accepted: a number in [0, {most:g}]"
+                f"parameter ramp_end_torque is {torque:g}; accepted: a number in [0, {most}]"
             )
         return content
 
@@ -129,37 +133,41 @@ class BenchNode:
             self.rig,
             self._publish,
             lambda text: log.error(one_line(text)),
-            lambda: log.info(one_line(f"{port}: rig connected")),
+            lambda text: log.info(one_line(f"{port}: {text}")),
         )
         self._timer = node.create_timer(_ALIVE_PERIOD, self._link.alive)
         self._diagnostics = Diagnostics(node, self._collect)
-        jobs: dict[str, Callable[[], None]] = {
-            "arm": partial(self._submit, RigClient.arm),
-            "clear": partial(self._submit, RigClient.clear),
-            "run_ramp": partial(self._submit, self._ramp),
-            "load": partial(self._couple, True),
-            "unload": partial(self._couple, False),
-            "stop": self._link.stop_rig,
-        }
         # Requests that wait for the rig have a thread of their own; a stop never queues behind them.
         waiting = MutuallyExclusiveCallbackGroup()
         urgent = MutuallyExclusiveCallbackGroup()
+        jobs = {
+            "arm": (lambda: self._submit(RigClient.arm), "armed", waiting),
+            "clear": (lambda: self._submit(RigClient.clear), "faults cleared, disarmed", waiting),
+            "run_ramp": (lambda: self._submit(self._ramp), "ramp started", waiting),
+            "load": (lambda: self._couple(True), "joint coupled", waiting),
+            "unload": (lambda: self._couple(False), "joint taken off", waiting),
+            "stop": (self._link.stop_rig, "stop sent", urgent),
+        }
         self._services = [
             node.create_service(
                 Trigger,
                 f"~/{name}",
-                partial(_answer, job),
-                callback_group=urgent if name == "stop" else waiting,
+                partial(_answer, job, done),
+                callback_group=group,
                 qos_profile=REQUEST_QOS,
             )
-            for name, job in jobs.items()
+            for name, (job, done, group) in jobs.items()
         ]
         own.refuse_unknown()
 
     def _check(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         try:
-            changed = {parameter.name: parameter.value for parameter in parameters}
-            BenchParameters.of(parameter_values(self.node) | changed)
+            BenchParameters.of(
+                {
+                    **parameter_values(self.node),
+                    **{parameter.name: parameter.value for parameter in parameters},
+                }
+            )
         except Rx90Error as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -189,8 +197,9 @@ class BenchNode:
         self._commands.publish(command)
 
     def _ramp(self, client: RigClient) -> None:
-        values = parameter_values(self.node)
-        client.start_ramp(values["ramp_slope"], values["ramp_end_torque"])
+        client.start_ramp(
+            *(self.node.get_parameter(name).value for name in ("ramp_slope", "ramp_end_torque"))
+        )
 
     def _submit(self, job: Callable[[RigClient], None]) -> None:
         future = self._link.submit(job)
@@ -206,15 +215,12 @@ class BenchNode:
         self._emulated.load(loaded)
 
     def _collect(self) -> tuple[bytes, str, dict[str, str]]:
-        client = self._link.client
-        # once: the link's thread forgets it at a reset
-        last = None if client is None else client.last
-        if client is None or last is None:
-            return DiagnosticStatus.ERROR, "no connection to the rig", {}
-        report = last.report
-        values = {
-            "bad frames": str(client.bad_frames),
-            "lost reports": str(client.lost_reports),
+        report = self._link.last
+        bad, lost = self._link.damage
+        values = {"bad frames": str(bad), "lost reports": str(lost)}
+        if not self._link.connected or report is None:
+            return DiagnosticStatus.ERROR, "no connection to the rig", values
+        values |= {
             "state": report.state.name.lower(),
             "fault": fault_text(report.fault),
             "frames the rig refused": str(report.bad_frames),
@@ -237,13 +243,15 @@ class BenchNode:
 
 
 def _answer(
-    job: Callable[[], None], _: Trigger.Request, response: Trigger.Response
+    job: Callable[[], None], done: str, _: Trigger.Request, response: Trigger.Response
 ) -> Trigger.Response:
-    """Do a service's job, and answer with its error, if there is one."""
+    """Do a service's job, and answer `done`, or with the job's error."""
     try:
         job()
         response.success = True
+        response.message = done
     except Rx90Error as error:
+        response.success = False
         response.message = str(error)
     return response
 

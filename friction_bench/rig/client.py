@@ -8,7 +8,6 @@ from typing import Protocol
 
 from friction_bench.rig.messages import (
     PROTOCOL_VERSION,
-    RESULT_TEXTS,
     Command,
     CommandResult,
     Frame,
@@ -25,7 +24,7 @@ from friction_bench.rig.messages import (
     parse_report,
     payload_of,
 )
-from friction_bench.rig.rig_file import Rig
+from friction_bench.rig.rig_file import CODES, Rig
 
 HEARTBEAT = 0.02
 """Time between heartbeats, s; the firmware's watchdog trips after 120 ms."""
@@ -54,8 +53,8 @@ class Port(Protocol):
     def write(self, data: bytes, *, first: bool = False) -> None:
         """Send bytes; `first`: replaces bytes that have not been sent yet, which may be discarded in mid-frame."""
 
-    def read(self) -> bytes:
-        """Return the received bytes; wait up to HEARTBEAT for the first one."""
+    def read(self, timeout: float) -> bytes:
+        """Return the received bytes; wait up to `timeout` seconds for the first one."""
 
     def close(self) -> None:
         """Give the port back."""
@@ -142,6 +141,14 @@ class RigClient:
                 raise RigRefusedError(f"{command.name}: overtaken by a stop")
             self.port.write(message)
 
+    def send_torque(self, code: int) -> None:
+        """Send a DAC code to hold, without waiting for the answer: the next report has it.
+
+        Raises:
+            RigRefusedError: if there has been a stop that the caller did not know of; it is known from then on.
+        """
+        self._send_unless_stopped(self._number(Command.TORQUE, code), Command.TORQUE)
+
     def urgent_stop(self) -> None:
         """Take the torque away now.
 
@@ -170,7 +177,7 @@ class RigClient:
 
     def _frames(self) -> list[Frame]:
         """Return the frames that came within a heartbeat's time; raise RigLostError after a silence."""
-        frames = self._decoder.feed(self.port.read())
+        frames = self._decoder.feed(self.port.read(HEARTBEAT))
         before = self._read_at
         self._read_at = self.port.now()
         self._listened += min(self._read_at - before, _LONGEST_LISTENING)
@@ -180,7 +187,7 @@ class RigClient:
             raise RigLostError(f"the rig has not reported for {SILENCE} s")
         return frames
 
-    def connect(self) -> None:
+    def connect(self) -> HelloReply:
         """Greet the rig until it answers; afterwards it is disarmed, and faults stay latched.
 
         Raises:
@@ -205,7 +212,7 @@ class RigClient:
                         raise RigRefusedError(f"{spoken}; accepted: {PROTOCOL_VERSION}")
                     self.rig.check(hello)
                     self.hello = hello
-                    return
+                    return hello
         raise RigLostError(f"no rig answers within {GREETING_TIMEOUT:g} s")
 
     def pump(self) -> list[Sample]:
@@ -266,8 +273,7 @@ class RigClient:
             answer = next((s.report for s in received if s.report.ack_sequence == sequence), None)
             if answer is not None:
                 if answer.result != CommandResult.OK:
-                    reason = RESULT_TEXTS.get(answer.result, f"unknown result {answer.result}")
-                    raise RigRefusedError(f"{command.name}: {reason}")
+                    raise RigRefusedError(f"{command.name}: {answer.result_text}")
                 return samples
         raise RigLostError(f"{command.name}: the rig does not answer")
 
@@ -291,7 +297,7 @@ class RigClient:
 
     def end_code(self, torque: float) -> int:
         """Return the DAC code of a ramp's end."""
-        limit = self.greeting.torque_limit_code
+        limit = self.hello.torque_limit_code if self.hello is not None else CODES
         if not self.rig.commanded_torque(0.5) <= torque < self.rig.commanded_torque(limit + 0.5):
             accepted = (
                 f"{self.rig.commanded_torque(1):.2g} to {self.rig.commanded_torque(limit):.3g} Nm"

@@ -20,8 +20,7 @@ import tty
 from collections.abc import Mapping
 from pathlib import Path
 
-from friction_bench.rig.client import HEARTBEAT
-from friction_bench.rig.messages import ResetCause, RigError
+from friction_bench.rig.messages import ResetCause, RigError, RigInputError
 from friction_bench.rig.plant import SLICE, RigPlant
 from friction_bench.rig.rig_file import CODES, Rig
 from rx90_common.base.share import share_directory
@@ -38,14 +37,18 @@ def firmware_directory() -> Path:
     return share_directory() / "firmware"
 
 
-def _compile_core(library: Path, figures: Mapping[str, int]) -> None:
-    compiler = shutil.which("cc") or shutil.which("gcc")
+def compile_core(sources: Path, library: Path, figures: Mapping[str, int]) -> None:
+    """Compile the firmware in `sources` for this computer into `library`; `figures` replace those of rig_config.h.
+
+    Raises:
+        RigError: if there is no C compiler or it refuses the sources.
+    """
+    compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
     if not compiler:
         raise RigError(
             "the emulated rig runs the real firmware and needs a C compiler: none found as cc or gcc"
         )
-    sources = firmware_directory()
-    command = [compiler, "-std=c11", "-O2", "-fPIC", "-shared", f"-I{sources / 'core'}"]
+    command = [*compiler.split(), "-std=c11", "-O2", "-fPIC", "-shared", f"-I{sources / 'core'}"]
     command += [f"-D{name}={value}u" for name, value in figures.items()]
     command += [str(sources / name) for name in _SOURCES] + ["-o", str(library)]
     done = subprocess.run(
@@ -56,25 +59,22 @@ def _compile_core(library: Path, figures: Mapping[str, int]) -> None:
         raise RigError(f"the C compiler {compiler} refused the firmware: {reason}")
 
 
-def native_library(figures: Mapping[str, int]) -> Path:
-    """Return the firmware compiled for this computer, built where these sources were not with these figures before.
-
-    Args:
-        figures: that replace those of rig_config.h, by name.
-
-    Raises:
-        RigError: if there is no C compiler or it refuses the sources.
-    """
-    digest = hashlib.sha256(repr(sorted(figures.items())).encode())
+def native_library(figures: Mapping[str, int] | None = None) -> Path:
+    """Return the compiled firmware, building it where these sources were not built with these figures before."""
+    figures = figures or {}
+    sources = firmware_directory()
+    digest = hashlib.sha256()
     for name in (*_SOURCES, *_HEADERS):
-        digest.update((firmware_directory() / name).read_bytes())
+        digest.update((sources / name).read_bytes())
+    if figures:
+        digest.update(repr(sorted(figures.items())).encode())
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     library = base / "rx90_emulator" / "firmware" / f"librig_{digest.hexdigest()[:16]}.so"
     if not library.exists():
         library.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=library.parent) as folder:
             fresh = Path(folder) / library.name
-            _compile_core(fresh, figures)
+            compile_core(sources, fresh, figures)
             fresh.replace(library)  # atomic: two programs may build at the same time
     return library
 
@@ -83,14 +83,14 @@ class NativeBoard:
     """A board whose processor is this computer: same firmware, time in slices of the caller's choice.
 
     Args:
-        library: the compiled firmware.
-        baud: rate of its line.
+        library: the compiled firmware; by default the shipped one, built on first use.
     """
 
-    def __init__(self, library: Path, baud: int = 19200) -> None:
+    def __init__(self, baud: int = 19200, library: Path | None = None) -> None:
         # The core keeps its state in globals, as a microcontroller does: each board loads a copy of its own.
         with tempfile.TemporaryDirectory() as folder:
-            self._core = ctypes.CDLL(shutil.copy(library, folder))
+            copy = shutil.copy(library or native_library(), folder)
+            self._core = ctypes.CDLL(copy)
         self._baud = baud
         self._buffer = ctypes.create_string_buffer(4096)
         self._core.native_run.argtypes = (ctypes.c_uint32, ctypes.c_uint16, ctypes.c_uint8)
@@ -146,7 +146,8 @@ class EmulatedRig:
     def __init__(self, rig: Rig, seed: int = 0, board: NativeBoard | None = None) -> None:
         self.plant = RigPlant(rig, seed)
         self.rig = rig
-        self.board = board or NativeBoard(native_library(rig.firmware_figures), rig.baud)
+        self._off_time = self.plant.parameters.amplifier.off_time
+        self.board = board or NativeBoard(rig.baud, native_library(rig.firmware_figures))
         self.time = 0.0
         self._edges = 0
         self._adc = 0
@@ -161,10 +162,9 @@ class EmulatedRig:
             if self._on and not was_on:
                 self.plant.new_ramp()
             command = self.rig.commanded_torque(self.board.dac) if self._on else 0.0
-            off_time = self.plant.parameters.amplifier.off_time
-            if off_time and self.board.switched_on():
-                command *= 1.0 - off_time / SLICE
-            self._edges = self.plant.advance(command)
+            if self._off_time and self.board.switched_on():
+                command *= 1.0 - self._off_time / SLICE
+            self._edges = self.plant.advance(command, SLICE)
             self._adc = min(
                 CODES, round(self.plant.current_reading() / self.rig.torque.adc_full_scale * CODES)
             )
@@ -185,9 +185,9 @@ class VirtualPort:
         """Send bytes to the rig."""
         self.emulated.board.write(data)
 
-    def read(self) -> bytes:
-        """Return the next bytes of the rig; after HEARTBEAT, none."""
-        end = self.emulated.time + HEARTBEAT
+    def read(self, timeout: float) -> bytes:
+        """Return the next bytes of the rig; after `timeout` seconds, none."""
+        end = self.emulated.time + timeout
         while True:
             data = self.emulated.board.read()
             if data or self.emulated.time >= end:
@@ -206,18 +206,29 @@ class PtyRig:
 
     Args:
         emulated: the rig.
+        link: a path that shall point to the pseudo-terminal, replaced if it is a symbolic link already.
 
     Attributes:
         path: what a serial program opens.
     """
 
-    def __init__(self, emulated: EmulatedRig) -> None:
+    def __init__(self, emulated: EmulatedRig, link: Path | None = None) -> None:
         self.emulated = emulated
         self._master, self._slave = pty.openpty()
         # Raw before anybody opens it, and held open here: a line without an opener would echo and lose bytes.
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self.path = os.ttyname(self._slave)
+        self._link = link
+        if link is not None:
+            try:
+                if link.is_symlink():
+                    link.unlink()
+                link.symlink_to(self.path)
+            except OSError as error:
+                raise RigInputError(
+                    f"{link}: cannot point to the emulated rig ({error.strerror})"
+                ) from error
         self._stop = threading.Event()
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="emulated rig", daemon=True)
@@ -229,14 +240,17 @@ class PtyRig:
             self.emulated.plant.load(loaded)
 
     def _run(self) -> None:
-        reached = time.monotonic()
+        due = time.monotonic()
         while not self._stop.is_set():
-            select.select([self._master], [], [], SLICE)
-            now = time.monotonic()
-            reached = max(reached, now - _LONGEST_STEP)
-            slices = int((now - reached) / SLICE)
+            behind = time.monotonic() - due
+            if behind < SLICE:
+                select.select([self._master], [], [], 2 * SLICE)
+            if behind > _LONGEST_STEP:
+                due += behind - _LONGEST_STEP
+                behind = _LONGEST_STEP
+            slices = int(behind / SLICE)
             if slices:
-                reached += slices * SLICE
+                due += slices * SLICE
                 with self._lock:
                     self._exchange(slices * SLICE)
 
@@ -253,6 +267,13 @@ class PtyRig:
         """End the rig: for its opener, this is an unplugged cable."""
         self._stop.set()
         self._thread.join()  # however late: it must not write to another file that got the descriptor's number since
+        # The link first: its target may soon be another program's pseudo-terminal.
+        if (
+            self._link is not None
+            and self._link.is_symlink()
+            and str(self._link.readlink()) == self.path
+        ):
+            self._link.unlink(missing_ok=True)  # unless another rig has taken the name over
         for descriptor in (self._slave, self._master):
             with contextlib.suppress(OSError):
                 os.close(descriptor)

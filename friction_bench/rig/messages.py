@@ -158,27 +158,25 @@ class State(IntEnum):
 
 
 class CommandResult(IntEnum):
-    """What became of the last command."""
+    """What became of the last command, by its number, and in words."""
 
-    OK = 0
-    UNKNOWN = 1
-    LENGTH = 2
-    VERSION = 3
-    NO_HELLO = 4
-    FAULT = 5
-    STATE = 6
-    RANGE = 7
+    text: str
 
+    OK = 0, "done"
+    UNKNOWN = 1, "the rig does not know this command"
+    LENGTH = 2, "the command has a wrong length"
+    VERSION = 3, "the rig speaks another protocol version"
+    NO_HELLO = 4, "the rig has not been greeted since its last reset"
+    FAULT = 5, "a fault is latched; clear it first"
+    STATE = 6, "not possible in the rig's present state"
+    RANGE = 7, "a value is outside the firmware's limits"
 
-RESULT_TEXTS: dict[int, str] = {
-    CommandResult.UNKNOWN: "the rig does not know this command",
-    CommandResult.LENGTH: "the command has a wrong length",
-    CommandResult.VERSION: "the rig speaks another protocol version",
-    CommandResult.NO_HELLO: "the rig has not been greeted since its last reset",
-    CommandResult.FAULT: "a fault is latched; clear it first",
-    CommandResult.STATE: "not possible in the rig's present state",
-    CommandResult.RANGE: "a value is outside the firmware's limits",
-}
+    def __new__(cls, number: int, text: str) -> CommandResult:
+        """Return the result of a number, with its words."""
+        member = int.__new__(cls, number)
+        member._value_ = number
+        member.text = text
+        return member
 
 
 class Fault(IntFlag):
@@ -214,6 +212,10 @@ class ResetCause(IntEnum):
     BROWN_OUT = 4
 
 
+PROCESSORS = ("native", "mcs51", "avr")
+"""What the firmware runs on, by its number."""
+
+
 class HelloReply(NamedTuple):
     """The configuration that the firmware was built with.
 
@@ -244,6 +246,16 @@ class HelloReply(NamedTuple):
         """Return whether the stage switches off for a moment in each tick of a ramp."""
         return bool(self.built & _PULSED)
 
+    @property
+    def text(self) -> str:
+        """Return the processor and the reset's cause in words."""
+        causes = tuple(cause.name.lower().replace("_", "-") for cause in ResetCause)
+        pairs = ((PROCESSORS, self.processor), (causes, self.reset_cause))
+        processor, cause = (
+            names[value] if value < len(names) else f"number {value}" for names, value in pairs
+        )
+        return f"processor {processor}, reset cause {cause}"
+
 
 class Report(NamedTuple):
     """The rig's state at one tick; tick (16 bits) and counts (24 bits) roll over."""
@@ -261,6 +273,12 @@ class Report(NamedTuple):
     ack_sequence: int
     result: int
     bad_frames: int
+
+    @property
+    def result_text(self) -> str:
+        """Return the result of the last command, in words."""
+        known = self.result in CommandResult.__members__.values()
+        return CommandResult(self.result).text if known else f"unknown result {self.result}"  # type: ignore[call-arg]
 
 
 def parse_hello(frame: Frame) -> HelloReply | None:

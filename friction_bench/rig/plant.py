@@ -10,6 +10,7 @@ law moves by the arm's own steps of rx90_common/friction, with all parts of its 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -102,18 +103,19 @@ class RigJoint(NamedTuple):
     state: NDArray[np.void]
 
 
-def joint_record(element: FrictionElement, gear_ratio: float, seed: int) -> RigJoint:
+def joint_record(element: FrictionElement, gear_ratio: float, period: float, seed: int) -> RigJoint:
     """Return the record of a joint that has not moved.
 
     Args:
         element: its friction.
         gear_ratio: turns of the motor for one of the joint.
+        period: for which the torque is held, s.
         seed: of the scatter.
     """
     record = RigJoint(
         element_arrays((element,)), np.zeros(1, parts_dtype(1)), np.zeros(1, parts_state_dtype(1))
     )
-    fill_parts(record.parts[0], (element,), (gear_ratio,), SLICE, seed)
+    fill_parts(record.parts[0], (element,), (gear_ratio,), period, seed)
     start(record)
     return record
 
@@ -184,7 +186,7 @@ class RigPlant:
         self.parameters = rig.emulation
         self._joint: RigJoint | None = None
         if isinstance(rig.emulation.joint, FrictionElement):
-            self._joint = joint_record(rig.emulation.joint, rig.gear.ratio, seed)
+            self._joint = joint_record(rig.emulation.joint, rig.gear.ratio, SLICE, seed)
         self._gear = (
             rig.gear.ratio,
             rig.gear.efficiency,
@@ -198,6 +200,7 @@ class RigPlant:
         self._gain = 1.0 + rig.emulation.amplifier.gain_error * self._rng.standard_normal()
         self._ramp_gain = 1.0
         self._last_count = math.floor(self._phase)
+        self._noise = self._normals()
 
     def load(self, loaded: bool) -> None:
         """Couple the revolute joint to the load shaft, or take it off; the shaft is at rest then."""
@@ -210,21 +213,26 @@ class RigPlant:
         """Draw the differences from ramp to ramp: the torque's scale, and the joint's Coulomb friction."""
         p = self.parameters
         if p.amplifier.ramp_error:
-            self._ramp_gain = 1.0 + p.amplifier.ramp_error * self._rng.standard_normal()
+            self._ramp_gain = 1.0 + p.amplifier.ramp_error * next(self._noise)
         if p.joint_spread and isinstance(p.joint, JointFriction):
-            drawn = max(0.0, 1.0 + p.joint_spread * self._rng.standard_normal())
+            drawn = max(0.0, 1.0 + p.joint_spread * next(self._noise))
             coulomb = p.motor_friction.coulomb + drawn * p.joint.coulomb / self.rig.joint_scale
             self._shafts[True] = self._shafts[True]._replace(coulomb=coulomb)
 
-    def motor_torque(self, command: float) -> float:
-        """Return the torque, Nm, that the amplifier makes of `command` over a slice.
+    def _normals(self) -> Iterator[float]:
+        while True:
+            yield from self._rng.standard_normal(4096).tolist()
+
+    def motor_torque(self, command: float, dt: float) -> float:
+        """Return the torque, Nm, that the amplifier makes of `command` over `dt`.
 
         The supply limits the current against the back-EMF; the stage pushes one way only.
         """
         if command == 0.0:
             return 0.0
         motor = self.parameters.motor
-        noise = self.parameters.amplifier.torque_noise * self._rng.standard_normal()
+        deviation = self.parameters.amplifier.torque_noise
+        noise = deviation * math.sqrt(1e-3 / dt) * next(self._noise) if deviation else 0.0
         highest = (
             (motor.supply - motor.torque_constant * self.speed)
             / motor.resistance
@@ -232,9 +240,9 @@ class RigPlant:
         )
         return max(0.0, min(self._gain * self._ramp_gain * command + noise, highest))
 
-    def advance(self, command: float) -> int:
-        """Hold the commanded torque, Nm, for a slice; return the encoder counts in that time, of any direction."""
-        self.torque = self.motor_torque(command)
+    def advance(self, command: float, dt: float) -> int:
+        """Hold the commanded torque, Nm, for `dt` seconds; return the encoder counts in that time, of any direction."""
+        self.torque = self.motor_torque(command, dt)
         shaft = self._shafts[self.loaded]
         if self.loaded and self._joint is not None:
             self.angle, self.speed, self.bristle = turn_with_joint(
@@ -243,10 +251,10 @@ class RigPlant:
                 shaft,
                 self._gear,
                 self._joint,
-                SLICE,
+                dt,
             )
         else:
-            self.angle, self.speed = turn(self.angle, self.speed, self.torque, shaft, SLICE)
+            self.angle, self.speed = turn(self.angle, self.speed, self.torque, shaft, dt)
         count = math.floor(self.angle * self._scale + self._phase)
         edges = count - self._last_count
         self._last_count = count
@@ -254,6 +262,4 @@ class RigPlant:
 
     def current_reading(self) -> float:
         """Return the output of the current sense amplifier, as motor torque, Nm."""
-        return max(
-            0.0, self.torque + self.parameters.amplifier.adc_noise * self._rng.standard_normal()
-        )
+        return max(0.0, self.torque + self.parameters.amplifier.adc_noise * next(self._noise))

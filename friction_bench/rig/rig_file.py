@@ -23,6 +23,7 @@ RAMP_FRACTION = 256
 """The firmware's ramp counts in 1/256 of a DAC code per tick."""
 MAX_RAMP_STEP = 0x1000
 TRAVEL_UNIT = 256
+NORMAL_95 = 1.96  # standard deviations of half a 95 % interval
 
 Value = TypeVar("Value", float, Array)
 
@@ -259,9 +260,12 @@ class Rig(RigFile):
         """Return the figures that the firmware of an emulated rig is built for, where they are not the shipped ones."""
         figures: dict[str, int] = {}
         if self.torque.limit_lifted:
-            figures = {
-                "DAC_FULL_SCALE": round(self.torque.dac_full_scale * 1e4),
-                "ADC_FULL_SCALE": round(self.torque.adc_full_scale * 1e4),
+            scales = {
+                "DAC_FULL_SCALE": self.torque.dac_full_scale,
+                "ADC_FULL_SCALE": self.torque.adc_full_scale,
+            }
+            figures |= {name: round(scale * 1e4) for name, scale in scales.items()}
+            figures |= {
                 "SCALE_UNIT": 100,
                 "TORQUE_LIMIT_CODE": HIGHEST_END,
                 "CURRENT_LIMIT_CODE": CODES - 1,
@@ -287,6 +291,17 @@ class Rig(RigFile):
         """Return the relative standard uncertainty of all torques at the joint: calibrated scale and efficiency."""
         return math.hypot(
             self.torque.scale_uncertainty, self.gear.efficiency_uncertainty / self.gear.efficiency
+        )
+
+    @property
+    def joint_side_reason(self) -> str:
+        """Return in words why intervals are wider on the joint's side of the gear."""
+        efficiency = self.gear.efficiency
+        error = self.gear.efficiency_uncertainty
+        share = 100.0 * NORMAL_95 * error / efficiency
+        return (
+            f"torques are carried over by the gear's efficiency, {efficiency:g} ± {error:g} (standard uncertainty, of "
+            f"the rig file), which alone makes 95 % intervals of ± {share:.2g} %"
         )
 
     def commanded_torque(self, dac_code: Value) -> Value:
@@ -323,19 +338,31 @@ class Rig(RigFile):
 
     def check(self, hello: HelloReply) -> None:
         """Refuse a rig whose firmware was built for other figures than this file."""
-        torque = self.torque
-        figures = {
-            "counts_per_revolution": (self.counts_per_revolution, hello.counts_per_revolution),
-            "tick_us": (self.tick_us, hello.tick_us),
-            "dac_full_scale": (round(torque.dac_full_scale, 5), round(hello.dac_full_scale, 5)),
-            "adc_full_scale": (round(torque.adc_full_scale, 5), round(hello.adc_full_scale, 5)),
-            "ramps.hold, in ticks,": (self.hold_ticks, hello.hold_ticks),
-        }
+        pairs: list[tuple[str, float, float]] = [
+            ("counts_per_revolution", self.counts_per_revolution, hello.counts_per_revolution),
+            ("tick_us", self.tick_us, hello.tick_us),
+            (
+                "dac_full_scale",
+                round(self.torque.dac_full_scale, 5),
+                round(hello.dac_full_scale, 5),
+            ),
+            (
+                "adc_full_scale",
+                round(self.torque.adc_full_scale, 5),
+                round(hello.adc_full_scale, 5),
+            ),
+            ("ramps.hold, in ticks,", self.hold_ticks, hello.hold_ticks),
+        ]
         # the file of a rig that cannot be emulated does not contain it
         if self.emulation is not None:
-            pulsed = self.emulation.amplifier.off_time > 0.0
-            figures["emulation.amplifier.off_time > 0"] = (pulsed, hello.pulsed)
-        for name, (expected, firmware) in figures.items():
+            pairs.append(
+                (
+                    "emulation.amplifier.off_time > 0",
+                    self.emulation.amplifier.off_time > 0.0,
+                    hello.pulsed,
+                )
+            )
+        for name, expected, firmware in pairs:
             if firmware != expected:
                 raise RigInputError(
                     f"{self.file}: {name} is {expected}, the rig's firmware has {firmware}"

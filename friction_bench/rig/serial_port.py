@@ -14,9 +14,9 @@ from contextlib import contextmanager
 
 import serial
 
-from friction_bench.rig.client import HEARTBEAT
 from friction_bench.rig.messages import RigInputError, RigLostError
 
+_READ_SLICE = 0.01
 WRITE_TIMEOUT = 0.02
 """Longest duration of a write, s. The system's buffer holds two seconds' worth of bytes: a
 line without room for a heartbeat in it is dead, and the stop must not wait behind it."""
@@ -41,7 +41,7 @@ class SerialPort:
         self._lock = threading.Lock()
         try:
             self._serial = serial.serial_for_url(
-                url, baudrate=baud, timeout=HEARTBEAT, do_not_open=True
+                url, baudrate=baud, timeout=_READ_SLICE, do_not_open=True
             )
             if "://" not in url:
                 self._serial.exclusive = True
@@ -91,15 +91,19 @@ class SerialPort:
                 if not select.select([], [descriptor], [], max(0.0, end - self.now()))[1]:
                     raise serial.SerialTimeoutException("the line accepts no bytes")
 
-    def read(self) -> bytes:
-        """Return the received bytes; wait up to HEARTBEAT for the first one.
+    def read(self, timeout: float) -> bytes:
+        """Return the received bytes; wait up to `timeout` seconds, in slices of 10 ms, for the first one.
 
         Raises:
             RigLostError: if the line is broken.
         """
+        end = self.now() + timeout
         # TypeError: closed by another thread meanwhile
         with self._lost_while("reading", TypeError):
-            return bytes(self._serial.read(max(1, self._serial.in_waiting)))
+            while True:
+                data = self._serial.read(max(1, self._serial.in_waiting))
+                if data or self.now() >= end:
+                    return bytes(data)
 
     def close(self) -> None:
         """Give the port back."""

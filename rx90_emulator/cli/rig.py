@@ -6,8 +6,9 @@ What has been measured until a refusal stands in the folder of results.
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
-from rx90_common.base.share import SOURCE_RIG, resolve_config
+from rx90_common.base.share import resolve_config
 from rx90_common.process.interrupts import stop_request
 from rx90_emulator.cli.options import (
     FINITE,
@@ -68,6 +69,9 @@ def _add_measuring(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted="the rig is switched off")
     _add_line(parser)
     add_rig_argument(parser)
+    parser.add_argument(
+        "--clear", action="store_true", help="clear the faults that the rig has latched, then begin"
+    )
     _add_result(parser, "bag and report")
 
 
@@ -95,8 +99,8 @@ def _ramp(options: argparse.Namespace) -> int:
 
 
 def _add_source(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(files=False, source=True, slopes=None)
     _add_measuring(parser)
-    parser.set_defaults(files=False, source=True, slopes=None, rig=SOURCE_RIG)
 
 
 def _source(options: argparse.Namespace) -> int:
@@ -108,11 +112,14 @@ def _source(options: argparse.Namespace) -> int:
 
 
 def _add_read(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(files=True, source=False)
+    parser.set_defaults(**_NO_MEASURING, files=True, source=False)
     for option in ("--no-load-file", "--loaded-file"):
         parser.add_argument(
             option, action="append", default=[], metavar="M:FILE", help="slope and file"
         )
+    parser.add_argument("--text", choices=("increments", "counts", "velocity", "instantaneous-velocity"),
+                        help="files are plain text of this kind, not CSV; velocity is the mean since the last reading, "
+                        "as pulses give it")  # fmt: skip
     add_rig_argument(parser)
     _add_result(parser, "the report")
 
@@ -124,6 +131,7 @@ def _read(options: argparse.Namespace) -> int:
 
 def _add_emulator(parser: argparse.ArgumentParser) -> None:
     add_rig_argument(parser)
+    parser.add_argument("--link", type=Path, help="symbolic link to make to the pseudo-terminal")
     parser.add_argument("--loaded", action="store_true", help="couple the revolute joint")
     parser.add_argument(
         "--seed", type=_SEED, default=0, metavar="N", help="of the emulated rig's noise (0)"
@@ -139,11 +147,24 @@ def _emulator(options: argparse.Namespace) -> None:
     rig = load_rig(resolve_config(options.rig))
     emulated = EmulatedRig(rig, options.seed)
     emulated.plant.load(options.loaded)
-    pty_rig = PtyRig(emulated)
-    print(f"emulated rig at {pty_rig.path}, {rig.baud} baud; Ctrl-C ends it", flush=True)
+    pty_rig = PtyRig(emulated, options.link)
+    print(
+        f"emulated rig at {options.link or pty_rig.path}, {rig.baud} baud; Ctrl-C ends it",
+        flush=True,
+    )
     stop.wait()
     pty_rig.close()
 
+
+_NO_MEASURING = {
+    "slopes": None,
+    "repeats": None,
+    "end_torque": None,
+    "load": "both",
+    "port": "emulated",
+    "clear": False,
+}
+"""Options of a measurement, of which there is none where old ramps are read."""
 
 _VERBS = (
     (_add_ramp, _ramp, "measure friction with torque ramps"),

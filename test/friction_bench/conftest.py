@@ -15,7 +15,7 @@ from rig_simulators import simavr, ucsim
 from shared_files import made_once
 
 from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig, NativeBoard, firmware_directory, native_library
+from friction_bench.rig.emulated import EmulatedRig, NativeBoard, firmware_directory
 from friction_bench.rig.rig_file import Rig, load_rig
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -81,13 +81,13 @@ def make_board(firmware: Callable[[str], Path], shim: Callable[[str], Path]) -> 
     """Return a maker of boards; simulators end with the test, whatever happens."""
     with ExitStack() as stack:
 
-        def make(target: str, binary: Path | None = None) -> Any:
+        def make(target: str, seed: int = 1, binary: Path | None = None) -> Any:
             if target == "native":
-                return NativeBoard(binary or native_library({}))
+                return NativeBoard(library=binary)
             binary = binary or firmware(target)
             if target == "mcs51":
                 need("ucsim")
-                board: Any = ucsim.UcsimBoard(shim(target), binary)
+                board: Any = ucsim.UcsimBoard(shim(target), binary, seed)
             else:
                 need("simavr")
                 board = simavr.SimavrBoard(shim(target), binary)

@@ -82,7 +82,7 @@ def test_a_library_made_with_other_figures_follows_them(tmp_path: Path) -> None:
         done = make("native", tmp_path, figures)
         assert done.returncode == 0, done.stderr
         built.append(library.stat().st_mtime_ns)
-        player = armed(NativeBoard(library))
+        player = armed(NativeBoard(library=library))
         assert (player.hello.torque_limit_code, player.hello.dac_full_scale) == (limit, pytest.approx(scale))
     assert built[0] != built[1] == built[2]
     for code, result in ((100, CommandResult.OK), (101, CommandResult.RANGE)):
@@ -138,9 +138,9 @@ def test_known_weight_finds_the_scale_within_the_page_s_uncertainty(
     emulated = EmulatedRig(rig, 1)
     weight, shaft, lever = 0.0981, Shaft(0.1 * 0.1**2, 0.004, 1e-3), [0.0, 0.0]
 
-    def advance(command: float) -> int:
+    def advance(command: float, dt: float) -> int:
         before = int(lever[0] / rig.angle_step)
-        lever[:] = turn(lever[0], lever[1], scale * command - weight, shaft, 1e-3)
+        lever[:] = turn(lever[0], lever[1], scale * command - weight, shaft, dt)
         if not 0.0 < lever[0] < 0.05:
             lever[:] = min(max(lever[0], 0.0), 0.05), 0.0
         return abs(int(lever[0] / rig.angle_step) - before)

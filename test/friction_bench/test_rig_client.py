@@ -16,7 +16,7 @@ from rig_bench import greeted, read_some, rig_file_with
 
 from friction_bench.experiment.identification import identify_ramps
 from friction_bench.experiment.job import run_ramp
-from friction_bench.rig.client import COMMAND_TIMEOUT, HEARTBEAT, STOP_SEQUENCES, RigClient, unwrap
+from friction_bench.rig.client import COMMAND_TIMEOUT, STOP_SEQUENCES, RigClient, unwrap
 from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort, native_library
 from friction_bench.rig.messages import (
     Answer,
@@ -94,7 +94,7 @@ def test_host_that_stood_still_does_not_take_the_rig_for_lost(client: RigClient)
     now, read, stood_still = port.now, port.read, 0.0
     port.now = lambda: now() + stood_still
 
-    def late() -> bytes:
+    def late(_: float) -> bytes:
         nonlocal stood_still
         stood_still += 2 * COMMAND_TIMEOUT
         port.read = read
@@ -123,7 +123,7 @@ def test_a_firmware_built_for_other_figures_is_refused(
     changes: dict[str, Any], figures: dict[str, int], message: str, rig: Rig
 ) -> None:
     """What the greeting says is compared with the rig file; the first difference is named with both values."""
-    emulated = EmulatedRig(rig, 0, NativeBoard(native_library(figures)))
+    emulated = EmulatedRig(rig, 0, NativeBoard(rig.baud, native_library(figures)))
     client = RigClient(VirtualPort(emulated), rig.replaced(**changes))
     with pytest.raises(RigInputError, match=rf"gm8224\.yaml: {re.escape(message)}$"):
         client.connect()
@@ -136,8 +136,8 @@ def test_a_firmware_of_version_1_is_named(rig: Rig) -> None:
     old = bytes.fromhex("01 01 01 f801 204e 204e a861 e5 07")
 
     class Old(VirtualPort):
-        def read(self) -> bytes:
-            self.emulated.advance(HEARTBEAT)
+        def read(self, timeout: float) -> bytes:
+            self.emulated.advance(timeout)
             return encode(Frame(Answer.HELLO_REPLY, 1, old))
 
     with pytest.raises(RigRefusedError, match="speaks protocol version 1; accepted: 2"):
@@ -177,12 +177,12 @@ def test_interrupted_ramp_is_stopped_by_the_host(client: RigClient, emulated: Em
     for wanted in range(1, 40, 4):
         reads = 0
 
-        def interrupted(wanted: int = wanted) -> bytes:
+        def interrupted(timeout: float, wanted: int = wanted) -> bytes:
             nonlocal reads
             reads += emulated.board.stage_on
             if reads == wanted:
                 raise KeyboardInterrupt
-            return read()
+            return read(timeout)
 
         client.port.read = interrupted
         with pytest.raises(KeyboardInterrupt):

@@ -17,6 +17,7 @@ from friction_bench.rig.messages import (
     cobs_decode,
     cobs_encode,
     crc16,
+    decode,
     encode,
     parse_hello,
     parse_report,
@@ -75,11 +76,22 @@ def test_noise_costs_one_frame_at_most(first: Frame, second: Frame, noise: bytes
     assert frames[-1] == second
 
 
+@settings(max_examples=300)
+@given(FRAMES, st.data())
+def test_one_or_two_flipped_bits_are_never_accepted(frame: Frame, data: st.DataObject) -> None:
+    """Any two flipped bits that leave the COBS framing alone are caught by the CRC (Hamming distance 4)."""
+    body = bytes([frame.type, frame.sequence]) + frame.payload
+    sealed = bytearray(body + crc16(body).to_bytes(2, "little"))
+    for at in data.draw(st.sets(st.integers(0, 8 * len(sealed) - 1), min_size=1, max_size=2)):
+        sealed[at // 8] ^= 1 << at % 8
+    assert decode(cobs_encode(bytes(sealed))) is None
+
+
 class NativeFrames:
     """The firmware's frame functions, called one by one."""
 
     def __init__(self, folder: Path) -> None:
-        self.library = ctypes.CDLL(shutil.copy(native_library({}), folder))
+        self.library = ctypes.CDLL(shutil.copy(native_library(), folder))
         self.library.frame_receive.argtypes = (ctypes.c_uint8,)
         self.library.frame_receive.restype = ctypes.c_bool
         self.buffer = (ctypes.c_uint8 * 8).in_dll(self.library, "frame_rx")

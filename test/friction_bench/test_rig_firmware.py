@@ -7,9 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rig_bench import greeted
 from rig_conformance import TRANSCRIPTS, MismatchError, Player, armed
 
-from friction_bench.rig.messages import Command, Frame, encode
+from friction_bench.experiment.job import run_ramp
+from friction_bench.rig.messages import PROCESSORS, Command, Frame, encode
+from friction_bench.rig.rig_file import Rig
 
 SIMULATED = [pytest.param(target, marks=pytest.mark.firmware) for target in ("mcs51", "avr")]
 ALL = ["native", *SIMULATED]
@@ -109,6 +112,16 @@ def test_transcripts_catch_the_mutant_binary(name: str, make_mutant: Callable[..
 
 
 @pytest.mark.firmware
+def test_8051_does_not_depend_on_what_ram_holds_at_power_up(make_board: Callable[..., Any]) -> None:
+    """Random RAM contents of three different seeds give the same bytes on the line."""
+    transcripts = []
+    for seed in (1, 2, 3):
+        player = armed(make_board("mcs51", seed))
+        transcripts.append([(r.tick, r.dac, r.state, r.ack_sequence, r.result) for r in player.reports])
+    assert transcripts[0] == transcripts[1] == transcripts[2]
+
+
+@pytest.mark.firmware
 def test_ticks_of_the_avr_are_20_ms_of_the_crystal(make_board: Callable[..., Any]) -> None:
     """Counts of an encoder at 1 kHz show the tick's length: 200 ticks hold 4000 edges, none lost."""
     player = Player(make_board("avr"))
@@ -160,4 +173,20 @@ def test_random_damage_never_moves_the_rig(target: str, make_board: Callable[...
     player.do_beat(55)
     player.do_expect({"state": "ARMED", "fault": 0})
     assert player.hello is not None
-    assert ("native", "mcs51", "avr")[player.hello.processor] == target
+    assert PROCESSORS[player.hello.processor] == target
+
+
+@pytest.mark.firmware
+@pytest.mark.parametrize("target", ["mcs51", "avr"])
+def test_closed_loop_with_the_real_binary_equals_the_native_one(
+    target: str, make_board: Callable[..., Any], rig: Rig
+) -> None:
+    """The emulated rig, run by the real binary, turns in a ramp as far as by the native core, but for 2 ms."""
+    angles = []
+    for board in ("native", target):
+        client = greeted(rig, 3, board=make_board(board))
+        record = run_ramp(client, 0.3, 0.08, False, board)
+        assert client.lost_reports == 0
+        angles.append(record.angle[-1])
+        speed = (record.angle[-1] - record.angle[-2]) / record.tick
+    assert angles[1] == pytest.approx(angles[0], abs=2e-3 * speed)

@@ -1,5 +1,6 @@
 """The line to a rig on a pseudo-terminal: unplugging, garbage, resets, a second opener, a dead owner."""
 
+import math
 import threading
 import time
 
@@ -7,6 +8,7 @@ import pytest
 from processes import TIMEOUT, wait_until
 from rig_bench import Bench
 
+from friction_bench.rig import link
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.messages import Command, RigLostError, RigRefusedError, RigResetError, State
 from friction_bench.rig.serial_port import SerialPort
@@ -16,28 +18,39 @@ def test_unplugging_is_survived_and_needs_arming(bench: Bench) -> None:
     """A cable pulled and plugged in again: one report, a new connection, and a disarmed rig."""
     bench.arm()
     bench.pty.close()
-    wait_until(lambda: bench.link.client is None, "the loss")
+    wait_until(lambda: not bench.link.connected, "the loss")
     with pytest.raises(RigLostError):
         bench.link.submit(RigClient.arm).result(1.0)
     time.sleep(1.0)  # several attempts to open what is not there
     lost = len(bench.troubles)
     bench.plug()
-    wait_until(lambda: bench.state is not None, "the new connection")
+    wait_until(lambda: bench.link.connected and bench.state is not None, "the new connection")
     assert bench.state == State.DISARMED
     assert lost <= 2  # lost, and then: cannot be opened
     bench.arm()
 
 
-def test_garbage_is_survived(bench: Bench) -> None:
-    """Noise from the rig's side costs the frames that it hits, and is counted; the link goes on."""
+def test_garbage_disarms_once_and_is_survived(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Noise from the rig's side disarms the rig, is reported once, and the link goes on."""
+    monkeypatch.setattr(link, "CALM", math.inf)  # trouble after a pause, which a busy machine may make, is the same
     bench.arm()
     client = bench.link.client
+    assert client is not None
     for _ in range(40):
         bench.say(bytes(range(1, 40)) + b"\0")
         time.sleep(0.005)
-    wait_until(lambda: client.bad_frames >= 40, "the end of the noise")
+    wait_until(lambda: bench.state != State.ARMED, "the torque to go")
+
+    def heard_no_more() -> bool:
+        before = client.bad_frames
+        bench.listen(3)
+        return client.bad_frames == before
+
+    wait_until(heard_no_more, "the end of the noise")
+    assert len(bench.troubles) == 1
+    assert client.stops == 1  # repeated until it is answered, not piled up
+    bench.arm()  # what disarmed the rig does not do so again
     bench.listen(10)
-    assert bench.troubles == []
     assert bench.state == State.ARMED
 
 
@@ -63,7 +76,7 @@ def test_job_is_not_run_after_a_reset_or_once_given_up(bench: Bench) -> None:
     hold.set()
     blocking.exception(10.0)
     wait_until(lambda: any("restarted" in text for text in bench.troubles), "the report")
-    wait_until(lambda: bench.state == State.DISARMED, "the greeting")
+    wait_until(lambda: bench.link.connected and bench.state == State.DISARMED, "the greeting")
     first = late.exception(10.0)
     if first is None:  # it was the job under way when the reset was noticed
         pytest.fail("armed after a reset")

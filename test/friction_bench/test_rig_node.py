@@ -4,7 +4,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import ExitStack
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -34,12 +34,11 @@ FAR_FROM_THE_END = 100
 class Session:
     """A rig, the node that serves it, and a client, on the domain of the environment."""
 
-    name = "/left/friction_bench"
-
-    def __init__(self, rig: Rig, folder: Path) -> None:
+    def __init__(self, rig: Rig, folder: Path, namespace: str = "", *arguments: str) -> None:
+        self.name = f"{namespace}/friction_bench"
         self.pty = PatientRig(EmulatedRig(rig, 1), folder / "rig")
         self.log = folder / "log"
-        self.arguments = ["--ros-args", "-r", "__ns:=/left", "-p", f"port:={folder / 'rig'}"]
+        self.arguments = ["--ros-args", "-p", f"port:={folder / 'rig'}", *arguments]
         self.start()
         self.context = Context()
         rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
@@ -109,9 +108,16 @@ class Session:
         for _ in range(10):
             self.insist("arm", "run_ramp")
             self.until(lambda: until() or not self.stage_on)
+            self.until(lambda: self.stage_on or self.rests())
             if until():
                 return
         pytest.fail(f"the ramp never came there:\n{self.log.read_text()}")
+
+    def rests(self) -> bool:
+        """Return whether it has stood still for 0.1 s, by states that are no older than the rig's last motion."""
+        rig = self.pty.emulated
+        angles = {state.position[0] for state in self.states[-6:]}
+        return len(angles) == 1 and abs(angles.pop() - rig.plant.angle) <= rig.rig.angle_step
 
     def close(self) -> None:
         """End the node by its own pid, the rig and the client."""
@@ -125,11 +131,38 @@ class Session:
 
 
 @pytest.fixture
-def session(rig: Rig, tmp_path: Path, ros_domain: int, warm: None) -> Iterator[Session]:  # noqa: ARG001 - a domain of its own
-    """Return a node that reports its rig, in a namespace, on a domain of the test's own."""
-    with closing(Session(rig, tmp_path)) as made:
-        made.heard(4)
-        yield made
+def make(rig: Rig, tmp_path: Path, ros_domain: int, warm: None) -> Iterator[Callable[..., Session]]:  # noqa: ARG001 - a domain of its own
+    """Return a maker of nodes that report their rigs, in namespaces, on a domain of the test's own."""
+    with ExitStack() as stack:
+
+        def start(side: str = "") -> Session:
+            folder = tmp_path / f"rig{side}"
+            folder.mkdir()
+            others = ["-r", f"__ns:=/{side}", "-p", "ramp_slope:=0.3"] if side else []
+            made = Session(rig, folder, f"/{side}" if side else "", *others)
+            stack.callback(made.close)
+            made.heard(4)
+            return made
+
+        yield start
+
+
+@pytest.fixture
+def session(make: Callable[..., Session]) -> Session:
+    return make()
+
+
+def test_two_rigs_beside_each_other_know_nothing_of_each_other(make: Callable[..., Session]) -> None:
+    """Two nodes in namespaces run a ramp each; while one turns the other rests: each publishes its own rig's angle."""
+    pair = make("left"), make("right")
+    for turning, resting in (pair, pair[::-1]):
+        begins_at, heard = resting.states[-1].position[0], len(resting.states)
+        from_here = turning.states[-1].position[0] + 1.0
+        turning.ramp(lambda: not turning.stage_on and turning.states[-1].position[0] > from_here)  # noqa: B023
+        assert not resting.stage_on
+        resting.heard(heard + 10)
+        assert {state.position[0] for state in resting.states[heard:]} == {begins_at}
+        turning.until(turning.rests)
 
 
 def refuse_a_torque_beyond_the_firmware(session: Session) -> None:

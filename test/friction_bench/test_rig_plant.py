@@ -67,11 +67,11 @@ def test_a_shaft_turns_as_scipy_integrates_it() -> None:
 def test_back_emf_limits_the_torque(rig: Rig) -> None:
     """At 500 rad/s 24 V leave (24 - 22.5) / 2.6 A; a torque is never below zero."""
     plant = RigPlant(rig.replaced(emulation={"amplifier": {"gain_error": 0.0, "torque_noise": 0.0}}), 0)
-    assert plant.motor_torque(0.15) == 0.15
+    assert plant.motor_torque(0.15, 1e-3) == 0.15
     plant.speed = 500.0
-    assert plant.motor_torque(0.15) == pytest.approx((24.0 - 0.045 * 500.0) / 2.6 * 0.045)
+    assert plant.motor_torque(0.15, 1e-3) == pytest.approx((24.0 - 0.045 * 500.0) / 2.6 * 0.045)
     plant.speed = 600.0
-    assert plant.motor_torque(0.15) == 0.0
+    assert plant.motor_torque(0.15, 1e-3) == 0.0
 
 
 def elastic_share(y: float, steady: float, elastic: float) -> float:
@@ -112,7 +112,7 @@ def test_the_rigs_joint_moves_as_scipy_integrates_it(lugre_rig: Rig, bristles: E
     state, found, expected = np.zeros(3), [], []
     for torque in (0.018, 0.036, 0.012, 0.042, 0.0):  # Nm at the motor
         for _ in range(80):
-            plant.advance(torque)
+            plant.advance(torque, 1e-3)
         found.append(plant.angle / rig.gear.ratio)
         solved = solve_ivp(motion, (0.0, 0.08), state, args=(torque,), rtol=1e-9, atol=1e-13, max_step=1e-3)
         state = solved.y[:, -1]
@@ -131,7 +131,7 @@ def test_a_joint_put_on_again_begins_anew(lugre_rig: Rig) -> None:
         plant.angle = 0.0
         paths.append([])
         for _ in range(50):
-            plant.advance(0.02)
+            plant.advance(0.02, 1e-3)
             paths[-1].append((plant.angle, plant.speed, plant.bristle))
     assert paths[0] == paths[1]
     assert paths[0][-1][2] > 0.0

@@ -122,7 +122,7 @@ class CountingBoard(NativeBoard):
 def test_stage_goes_off_for_a_moment_in_each_tick_of_a_ramp() -> None:
     """20 ms on and 1 us off: the stage comes on at arming and at every tick of ramp and hold."""
     rig = load_rig(config_path(SOURCE_RIG))
-    board = CountingBoard(native_library(rig.firmware_figures))
+    board = CountingBoard(rig.baud, native_library(rig.firmware_figures))
     emulated = EmulatedRig(rig, 0, board)
     client = RigClient(VirtualPort(emulated), rig)
     client.connect()

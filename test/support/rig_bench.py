@@ -56,14 +56,7 @@ class PatientRig(PtyRig):
     def __init__(self, emulated: EmulatedRig, link: Path) -> None:
         self.patient = True
         self._heard_at = 0.0
-        super().__init__(emulated)
-        self._link = link
-        link.symlink_to(self.path)
-
-    def close(self) -> None:
-        """End the rig, and take the link away first: its target may soon be another program's pseudo-terminal."""
-        self._link.unlink(missing_ok=True)
-        super().close()
+        super().__init__(emulated, link)
 
     def _exchange(self, seconds: float) -> None:
         rig = self.emulated
@@ -106,7 +99,7 @@ class Bench:
         self._threads = [threading.Thread(target=self.link.run), threading.Thread(target=self._live)]
         for thread in self._threads:
             thread.start()
-        wait_until(lambda: self.state is not None, "a connection")
+        wait_until(lambda: self.link.connected and self.link.last is not None, "a connection")
 
     def _count(self, _: object) -> None:
         self.samples += 1
@@ -126,9 +119,8 @@ class Bench:
 
     @property
     def state(self) -> State | None:
-        client = self.link.client
-        last = None if client is None else client.last
-        return None if last is None else last.report.state
+        report = self.link.last
+        return None if report is None else report.state
 
     def reset(self) -> None:
         with self.pty.standing_still():

@@ -32,9 +32,13 @@ def simulator() -> str | None:
 
 
 class UcsimBoard:
-    """The Board interface around s51; its RAM holds random numbers at power-up."""
+    """The Board interface around s51.
 
-    def __init__(self, library: Path, firmware: Path) -> None:
+    Args:
+        seed: of the RAM's random contents at power-up.
+    """
+
+    def __init__(self, library: Path, firmware: Path, seed: int = 1) -> None:
         program = simulator()
         if program is None:
             raise RuntimeError("neither s51 nor ucsim_51 is installed")
@@ -45,7 +49,7 @@ class UcsimBoard:
         # Both ends open here too, so that the simulator's own open does not block.
         self._to_rig = os.open(to_rig, os.O_RDWR | os.O_NONBLOCK)
         self._from_rig = os.open(from_rig, os.O_RDWR | os.O_NONBLOCK)
-        command = [program, "-b", "-q", "-R", "1", "-t", "C51", "-X", f"{CRYSTAL_MHZ}M"]
+        command = [program, "-b", "-q", "-R", str(seed), "-t", "C51", "-X", f"{CRYSTAL_MHZ}M"]
         command += ["-S", f"uart=0,in={to_rig},out={from_rig}", str(firmware)]
         self._process = subprocess.Popen(
             command,
