@@ -20,6 +20,7 @@ from rx90_common.report.charts import THEME, join, thin
 _RESOURCES: Final = Resources(mode="inline", components=["bokeh"], log_level="warn")
 _PLACE = "<!--figure {}-->"  # text from outside is escaped, so that nobody else writes it
 _TERMS = "<!--terms-->"
+_LOT = r"\w{8}-\w{4}-\w{4}-\w{4}-\w{12}"
 _NO_SCRIPT = "<noscript>Plots need JavaScript; text and tables of this page do not.</noscript>"
 
 
@@ -66,7 +67,7 @@ def render_page(package: str, template: str, **values: object) -> str:
     if not figures:
         return page
     most = thin(figures)
-    script, places = components(figures, theme=THEME)
+    script, places = _numbered(*components(figures, theme=THEME))
     page = re.sub(_PLACE.format(r"(\d+)"), lambda place: places[int(place[1])], page)
     scripts = _environment("rx90_common.report").get_template("plots.html.j2")
     page = page.replace(
@@ -77,3 +78,21 @@ def render_page(package: str, template: str, **values: object) -> str:
         note = f"Of long curves the first, least, largest and last value in each of {most // 4} parts are shown."
         page = page.replace("<footer>", f"<footer>{note} ", 1)
     return page
+
+
+def _numbered(script: str, places: Sequence[str]) -> tuple[str, list[str]]:
+    """Return Bokeh's texts with numbers for the names that it draws by lot or counts through the process.
+
+    So equal figures give equal texts. Only ends of `"id":` are names among the documents, where labels stand, too.
+    """
+    numbers: dict[str, str] = {}
+
+    def number(name: re.Match[str]) -> str:
+        return numbers.setdefault(name[0], f"plot-{len(numbers)}")
+
+    documents, key, items = script.rpartition("const render_items")
+    documents = re.sub(rf'(?<="id":")[^"]+|(?<=docs_json = .{{2}}"){_LOT}', number, documents)
+    names = re.compile(rf"(?<=\")(?:{_LOT}|p\d+)(?=\")")
+    return f"{documents}{key}{names.sub(number, items)}", [
+        names.sub(number, place) for place in places
+    ]

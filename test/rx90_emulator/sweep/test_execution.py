@@ -320,7 +320,7 @@ def test_run_and_info(speeds: str, tmp_path: Path, task_file: Path, capsys: pyte
         out, err = capsys.readouterr()
         if lost:
             (line,) = (one for one in err.splitlines() if one.startswith("rx90 sweep: "))
-            assert line.startswith("rx90 sweep: each of the 2 runs failed, for example: LineError: ")
+            assert line.startswith("rx90 sweep: every run failed, for example: LineError: ")
             assert line.endswith(f"; rx90 sweep info {output} says more")
         else:
             assert said in out

@@ -5,7 +5,6 @@ import os
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -113,12 +112,8 @@ def test_foreign_files_are_refused(tmp_path: Path, sweep: Sweep) -> None:
     pq.write_table(pa.table({"index": [1, 2]}), foreign)
     torn = tmp_path / "torn.parquet"
     torn.write_bytes(foreign.read_bytes()[:-20])
-    bomb = tmp_path / "bomb.parquet"
-    pq.write_table(pa.table({"index": np.zeros(40_000_000, np.int8)}), bomb)
-    assert bomb.stat().st_size < 1 << 20
     for file, said in (
         (tmp_path, "is a folder"),
-        (bomb, "320,000,000 bytes unpacked; accepted: up to 268,435,456"),
         (torn, "cannot be read as Parquet"),
         (foreign, "is not a result of rx90 sweep"),
         (lacking, "lacking.parquet has other columns than"),
