@@ -122,7 +122,7 @@ def test_foreign_files_are_refused(tmp_path: Path, sweep: Sweep) -> None:
         with pytest.raises(SweepError, match=said) as error:
             ResultStore(file, sweep, resume=True)
         assert "\n" not in str(error.value)
-    assert len(list(tmp_path.iterdir())) == 6
+    assert len(list(tmp_path.iterdir())) == 5
 
 
 def test_a_damaged_part_is_named(tmp_path: Path, sweep: Sweep, outcomes: list[RunOutcome]) -> None:
