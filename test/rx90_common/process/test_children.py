@@ -12,7 +12,7 @@ import pytest
 from processes import Processes, wait_until
 from warm_start import COLD
 
-from rx90_common.base.share import config_path
+from rx90_common.base.share import ROOT, config_path
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
 
 pytestmark = pytest.mark.slow
@@ -137,7 +137,6 @@ def test_children_run_no_module_of_the_working_folder(tmp_path: Path, monkeypatc
     assert (child.wait(), "hostile" in child.output) == (0, False), child.output
 
 
-ROOT = Path(__file__).parents[3]
 PROGRAM = """
 import json, os, sys, threading
 from pathlib import Path
