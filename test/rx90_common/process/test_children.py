@@ -125,7 +125,6 @@ def test_more_interrupts_leave_no_child_behind(monkeypatch: pytest.MonkeyPatch) 
     assert stubborn.returncode == -signal.SIGTERM
 
 
-@pytest.mark.slow
 def test_children_run_no_module_of_the_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither in place of the package, nor of a library, nor of what Python itself begins with."""
     monkeypatch.setattr(subprocess, "Popen", COLD)  # a warm process has imported them
