@@ -9,21 +9,17 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from elastic_arms import WRIST
 from lugre_oracle import LuGreOracle
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
 from benchmarks.hybrid_reference import decoupled_setup, negligible_element
+from rx90_common.base.arrays import Array
 from rx90_common.base.rates import Rates
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
-
-Array = NDArray[np.float64]
-
-WRIST = np.eye(6)
-WRIST[5, 4] = 1.0
-"""Motor turns for joint turns, without the gears: motor 6 turns with joints 5 and 6."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +44,9 @@ class ArmOracle:
         """Return M with rotors and coupling, and h with the spring."""
         model, drives, position = self.setup.robot.model, self.setup.drives, np.asarray(q, float)
         upper = np.triu(pin.crba(model, self._data, position))
-        links = upper + np.triu(upper, 1).T
         bias = pin.nonLinearEffects(model, self._data, position, np.asarray(v, float))
         rotors = self.turns.T @ np.diag(drives.rotor_inertia) @ self.turns
-        return links + rotors, bias + drives.spring_torque * np.sin(position)
+        return upper + np.triu(upper, 1).T + rotors, bias + drives.spring_torque * np.sin(position)
 
     def energy(self, q: Array, v: Array) -> float:
         """Return kinetic energy (rotors included) plus potential energy (spring included), J."""
@@ -61,15 +56,10 @@ class ArmOracle:
         spring = -self.setup.drives.spring_torque @ np.cos(q)
         return float(0.5 * v @ mass @ v + gravity + spring)
 
-    def joint_torque(self, motor: ArrayLike) -> Array:
-        return np.asarray(self.turns.T @ (self.setup.drives.gear * np.asarray(motor, float)))
-
-    def integrate(
-        self, state: Array, motor: ArrayLike, duration: float, tolerance: float, method: str = "Radau"
-    ) -> Array:
+    def integrate(self, state: Array, motor: ArrayLike, duration: float, tolerance: float) -> Array:
         """Return (q, v, z), shape (2 n + e,), after `duration` seconds of constant motor torques."""
         lugre = LuGreOracle(self.setup.friction.elements)
-        drive, n = self.joint_torque(motor), len(self.turns)
+        drive, n = self.turns.T @ (self.setup.drives.gear * np.asarray(motor, float)), len(self.turns)
 
         def rhs(_: float, y: Array) -> Array:
             q, v, z = y[:n], y[n : 2 * n], y[2 * n :]
@@ -77,7 +67,7 @@ class ArmOracle:
             mass, bias = self.mass_and_bias(q, v)
             return np.concatenate([v, np.linalg.solve(mass, drive - bias - self.inputs.T @ friction), z_dot])
 
-        result = solve_ivp(rhs, (0.0, duration), state, method, rtol=tolerance, atol=tolerance * 1e-2)
+        result = solve_ivp(rhs, (0.0, duration), state, "Radau", rtol=tolerance, atol=tolerance * 1e-2)
         assert result.success
         return np.asarray(result.y[:, -1])
 

@@ -8,7 +8,6 @@ import pytest
 from lugre_oracle import LuGreOracle
 
 from benchmarks.any_arm import write_arm
-from rx90_common.arm_dynamics import inverse_dynamics, mass_and_bias
 from rx90_common.description.coupling import Coupling
 from rx90_common.friction import FrictionSet
 from rx90_emulator.loop.setup import Setup, load_setup
@@ -39,20 +38,6 @@ def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
         return Arm(setup, dataclasses.replace(arm_oracle, setup=setup))
     setup = load_setup(robot=write_arm(tmp_path_factory.mktemp("arm"), len(turns), turns))
     return Arm(setup, dataclasses.replace(arm_oracle, setup=setup, turns=np.array(turns)))
-
-
-def test_dynamics_equal_pinocchio_s(arm: Arm) -> None:
-    """Mass matrix, bias and inverse dynamics are Pinocchio's, rotors by virtual work, to twelve digits."""
-    plant, n = arm.setup.plant(), len(arm.oracle.turns)
-    rng, constants, body = np.random.default_rng(n), plant.constants[0]["arm"], plant.state[0]["body"]
-    for q, v, a in rng.uniform(-2.0, 2.0, (5, 3, n)):
-        mass, bias, torque = np.empty((n, n)), np.empty(n), np.empty(n)
-        mass_and_bias(constants, body, q, v, mass, bias)
-        inverse_dynamics(constants, body, q, v, a, torque)
-        want_mass, want_bias = arm.oracle.mass_and_bias(q, v)
-        want = want_mass @ a + want_bias
-        for got, wanted in ((mass, want_mass), (bias, want_bias), (torque, want)):
-            np.testing.assert_allclose(got, wanted, rtol=0.0, atol=1e-12 * np.abs(wanted).max())
 
 
 def test_steps_converge_to_the_solution_of_a_stiff_solver(arm: Arm) -> None:

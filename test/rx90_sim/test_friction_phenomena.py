@@ -1,7 +1,4 @@
-"""What the LuGre paper (Canudas de Wit et al. 1995, section III) shows, on the plant itself: no second model.
-
-Joints 1 to 4 of the plant serve as independent masses; a motor torque is the external force.
-"""
+"""What the LuGre paper (Canudas de Wit et al. 1995, section III) shows, on the plant's joints as masses."""
 
 import itertools
 from collections.abc import Callable
@@ -12,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import bristle_step
 from rx90_common.kernels.compiled import kernel
@@ -19,16 +17,12 @@ from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import plant_step
 
-Array = NDArray[np.float64]
 Masses = Callable[..., Plant]
 
 
 @kernel
 def pull(plants: NDArray[Any], states: NDArray[Any], rate: Array, stiffness: float, speed: float, path: Array) -> int:
-    """Load masses by a force `rate * t` and a spring pulled at `speed`; record (x, v), shape (n, 2, 6).
-
-    Forces are held over a tick at their value in the middle of it.
-    """
+    """Load masses by a force `rate * t` and a spring pulled at `speed`; record (x, v), shape (n, 2, 6)."""
     plant, state = plants[0], states[0]
     force = np.zeros(6)
     for k in range(path.shape[0]):

@@ -23,10 +23,7 @@ OWN_CLOCK = 1_790_000_000 * 4000  # ticks
 
 
 class Drive:
-    """A held command whose ticks are a quarter of a millisecond of a clock made by hand.
-
-    Who waits for a command gets the next one of `late` after its time.
-    """
+    """A held command in ticks of 250 us of a clock made by hand; who waits gets the next one of `late` in time."""
 
     subscribe_topic = "/motor_commands"
 

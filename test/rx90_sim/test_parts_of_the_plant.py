@@ -10,7 +10,6 @@ from full_friction import TEMPERATURE
 from benchmarks.friction_parts import POSE, STEPS, THROUGH, convergence, loaded, snapshot, with_elements
 from rx90_common.base.arrays import Array
 from rx90_common.description.drives import Windings
-from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_common.rigid_torque import rigid_torque
@@ -178,32 +177,6 @@ def test_a_moving_arm_warms_by_its_friction(shipped: Setup) -> None:
     )
     plant.reset(np.zeros(6))
     assert plant.temperatures.tolist() == [30.0, 0.0, 30.0, 30.0, 30.0, 30.0, 30.0]
-
-
-def with_start(element: FrictionElement, start: float) -> FrictionElement:
-    """Return an element whose joint begins at a temperature, degrees Celsius."""
-    return element.replaced(temperature=element.temperature.replaced(start=start))  # type: ignore[type-var]
-
-
-def test_the_start_temperature_counts_at_once(shipped: Setup) -> None:
-    """Before any tick the viscous friction is c2 (f + (1 - f) exp(-(T - reference) / T_V)), T of each joint its own."""
-    setup, torques = warm(shipped), []
-    temperatures = np.array([60.0, 55.0, 50.0, 45.0, 40.0, 35.0, 30.0])
-    for wanted in (temperatures, np.full(7, PART.reference)):
-        elements = tuple(
-            element if element.temperature is None else with_start(element, float(start))
-            for element, start in zip(setup.friction.elements, wanted, strict=True)
-        )
-        friction = dataclasses.replace(setup.friction, elements=elements)
-        plant = dataclasses.replace(setup, friction=friction).plant()
-        plant.reset(np.zeros(6))
-        plant.state["v"] = 0.5
-        assert plant.temperatures.tolist() == [wanted[0], 0.0, *wanted[2:]]  # the second has none
-        torques.append(plant.friction_states()[2].copy())
-    velocity = np.array([*[0.5] * 6, 1.0])
-    c2 = np.array([e.c2 * (e.temperature is not None) for e in setup.friction.elements])
-    want = c2 * velocity * 0.7 * np.expm1(-(temperatures - PART.reference) / PART.viscous_scale)
-    assert torques[0] - torques[1] == pytest.approx(want, abs=1e-12)
 
 
 def test_above_its_law_friction_stays(shipped: Setup) -> None:

@@ -10,7 +10,6 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.writing import BagWriter
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 NAMES = ("joint_1", "joint_2", "joint_3")
@@ -55,10 +54,6 @@ def as_sqlite(bag: Path) -> Path:
         for connection, log_ns, data in reader.messages():
             writer.write(numbers[connection.id], log_ns, data)
     return made
-
-
-def write_one(bag: BagWriter, number: int, log_ns: int, cdr: bytes) -> None:
-    bag.write_many(np.array([number]), np.array([log_ns]), [cdr])
 
 
 def write_ros1(path: Path, messages: list[tuple[str, int, Any]]) -> Path:

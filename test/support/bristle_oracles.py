@@ -5,13 +5,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.signs import SIGNS
 
-Array = NDArray[np.float64]
 Velocity = Callable[[float], float]
 _TIGHT = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-14}
 
@@ -149,17 +148,11 @@ class MaxwellSlipOracle:
 
 
 def swing(
-    oracle: ElastoPlasticOracle | MaxwellSlipOracle,
-    inertia: float,
-    force: Velocity,
-    end: float,
-    start: float,
-    sense: float = 1.0,
+    oracle: ElastoPlasticOracle | MaxwellSlipOracle, inertia: float, force: Velocity, end: float, start: float
 ) -> tuple[float, float, int]:
     """Return position and velocity of a mass after a time under a force, and how often it turned round.
 
-    Kinks are located: reversals, break-away, and where a block begins to slip. It begins with the velocity `start` in
-    the direction of `sense`.
+    Kinks are located: reversals, break-away, and where a block begins to slip. It begins with the velocity `start`.
     """
     e, blocks = oracle.element, isinstance(oracle, MaxwellSlipOracle)
     count = len(oracle.stiffness) if isinstance(oracle, MaxwellSlipOracle) else 1
@@ -184,7 +177,7 @@ def swing(
         left.terminal, left.direction = blocks, 1.0  # type: ignore[attr-defined]
         return left
 
-    time, turns, y = 0.0, 0, np.array([0.0, start, *np.zeros(count)])
+    time, turns, sense, y = 0.0, 0, 1.0, np.array([0.0, start, *np.zeros(count)])
     while time < end:
         turn.terminal, turn.direction = True, -sense  # type: ignore[attr-defined]
         waiting = [i for i in range(count) if not (isinstance(oracle, MaxwellSlipOracle) and oracle.slips[i])]

@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.compiled_elements import element_arrays, one_element
 from rx90_common.friction.element import FRICTION_UNITS
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.compiled_elements import element_arrays
@@ -26,7 +27,6 @@ from rx90_common.friction.signs import SIGNS
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
 
-Array = NDArray[np.float64]
 Record = NDArray[Any]
 SPEED = 5.0
 """rad/s up to which `any_element` is passive."""
@@ -61,14 +61,9 @@ def begin(parts: Record, states: Record, transmitted: Array) -> None:
 
 @kernel
 def follow(seven: Seven, motion: Array, step: float, torque: Array, stored: Array) -> None:
-    """Run along n steps.
+    """Run along angles in the middle of each step, velocities and transmitted torques, shape (n, 3, 7).
 
-    Args:
-        seven: the elements, advanced in place.
-        motion: angle in the middle of each step, rad, velocity, rad/s, and transmitted torque, Nm, (n, 3, 7).
-        step: s.
-        torque: mean over each step, written, Nm, shape (n, 7).
-        stored: energy of the bristles behind each step, written, J, shape (n, 7).
+    Write the mean torque over each step, Nm, and the energy of the bristles behind it, J, each of shape (n, 7).
     """
     elements, parts, state, z = seven.elements[0], seven.parts[0], seven.states[0], seven.z
     for k in range(len(motion)):

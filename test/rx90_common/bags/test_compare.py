@@ -1,7 +1,6 @@
 """The verdict on two bags, and its figures."""
 
 import math
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -115,7 +114,6 @@ def test_a_second_message_of_a_stamp_is_counted() -> None:
     a = series(6)
     result = compared(a, joined(a, changed(a.take(slice(2, 3)), 0, 0, 99.0)))
     assert result.verdict is Verdict.DIFFERS
-    assert result.b is not None
     assert result.b.missing == 1
 
 
@@ -148,7 +146,6 @@ def test_the_last_tolerance_that_fits_decides() -> None:
 def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Make the bags a, same (other storage, other order), off (joint_2 by 1e-3 at 5 ms) and more."""
     folder, a = tmp_path_factory.mktemp("bags"), series()
-    assert a.position is not None
     off = changed(a, 5, 1, a.position[5, 1] + 1e-3)
     write_joint_states(folder / "a", [a])
     write_joint_states(folder / "other", [a.select(NAMES[::-1])])
@@ -164,8 +161,6 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("a a", 0),
         ("a same", 0),
         ("a off", 1),
-        ("a off --tolerance joint_states:position=0.0011", 0),
-        ("a off --tolerance /joint_states:joint_2:position=0.0011", 0),
         ("a off --tolerance joint_states:joint_1:position=0.0011", 1),
         ("a off --tolerance position=0.0011", 0),
         ("a more", 2),
@@ -176,19 +171,6 @@ def test_exit_code(bags: Path, arguments: str, code: int, monkeypatch: pytest.Mo
     """The exit code is 0 for the same, 1 for different and 2 for incomparable bags, under every option."""
     monkeypatch.chdir(bags)
     assert run("rx90 bag", ["compare", *arguments.split()]) == code
-
-
-def test_report(bags: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """Bags of equal bits are one line; else a table names joint, maximum, time, RMS and unit."""
-    monkeypatch.chdir(bags)
-    run("rx90 bag", ["compare", "a", "a"])
-    (line,) = capsys.readouterr().out.splitlines()
-    assert re.fullmatch(r"a against a: same; (\d+) of \1 topics? bit for bit; 0 other topics not compared", line)
-    run("rx90 bag", ["compare", "a", "off"])
-    text = capsys.readouterr().out
-    (row,) = (line.split() for line in text.splitlines() if "joint_2" in line)
-    assert row == ["position", "joint_2", "1.000e-03", "0.005000", "2.236e-04", "rad", "0", "1", "0"]
-    assert text.rstrip().endswith("a against off: DIFFERS")
 
 
 def test_ros1_bag_against_ros2_bag(tmp_path: Path) -> None:
@@ -220,8 +202,6 @@ def test_counts_of_stamps(stamps_a: list[int], stamps_b: list[int]) -> None:
         assert result.verdict is Verdict.INCOMPARABLE
         return
     common = set(range(max(min(a), min(b)), min(max(a), max(b)) + 1))
-    assert result.a is not None
-    assert result.b is not None
     assert result.pairs == len(a & b)
     assert result.a.missing == len((a - b) & common)
     assert result.b.missing == len((b - a) & common)

@@ -11,7 +11,6 @@ from bag_making import joint_state, write_ros2
 from processes import files_up_to
 from rosbags.highlevel import AnyReader
 
-from rx90_common.bags import exporting
 from rx90_common.bags.exporting import export_bag
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.logs import read_log
@@ -57,23 +56,15 @@ def rows(delimiter: str, decimal: str = ".", end: str = "") -> str:
     [
         (rows(","), PLAIN.replace("header: 0\n", "")),
         (rows(";", ","), PLAIN.replace("header: 0\n", "")),
-        (rows("\t"), PLAIN.replace("header: 0\n", "")),
         ("the run of today\n# t a b\n" + rows(" "), PLAIN.replace("header: 0\n", "").replace("2, 3", "a, b")),
-        ("# t,a,b\n" + rows(","), PLAIN.replace("header: 0\n", "").replace("2, 3", "a, b")),
-        (rows(","), PLAIN),
         (rows(", ", end=","), PLAIN),
         (rows(";", end=";a,b,c,1,2,3,4,d"), PLAIN + SEMICOLON),
         (rows(";", ","), PLAIN + COMMA),
         ('"t";"a";"b"\n"' + rows('";"', ",", '"').replace("\n", '\n"'), PLAIN.replace("0", "1") + COMMA),
         (" " + rows("\t    "), PLAIN + BLANKS),
-        ("\n\n" + rows("   "), PLAIN + BLANKS),
         (rows("\t"), PLAIN + "delimiter: tab\n"),
         ("% of the 3rd run\n" + rows(";").replace("\n", "\r\n") + "\n\n# the end\n", PLAIN + SEMICOLON),
         ("t,a,b,tau\n" + rows(",", end=","), PLAIN.replace("0", "1")),  # a column that is empty and not used
-        (
-            "the run of today\n# t a b\n" + rows(" "),
-            PLAIN.replace("header: 0", "header: 1").replace("2, 3", "a, b") + BLANKS,
-        ),
     ],
 )
 def test_delimiter_decimal_sign_and_header_are_found_out_or_said(tmp_path: Path, text: str, mapping: str) -> None:
@@ -142,7 +133,6 @@ TWICE = (PLAIN.partition("header")[2], PLAIN.partition("header")[2].replace(": 0
     ("change", "log", "said"),
     [
         (("[2, 3]", "[2]"), b"1,2,3", "position.columns is [2]; accepted: a list of 2, one for each name"),
-        (("[2, 3]", "[2, 4]"), b"1,2,3", "log.csv: no column 4; there are 1, 2, 3"),
         (("[2, 3]", "[2, qb]"), b"1,2,3", "log.csv: no column 'qb'; there are 1, 2, 3"),
         (("[2, 3]", "[2, 0]"), b"1,2,3", "position.columns[1] is 0; accepted: the number of a column, from 1 on, or"),
         (("rad", "rad, factor: [1, 0]"), b"1,2,3", "position.factor[1] is 0; accepted: a finite number other than 0"),
@@ -151,40 +141,21 @@ TWICE = (PLAIN.partition("header")[2], PLAIN.partition("header")[2].replace(": 0
         (HEADED, b"0,1,2\n1,2,3\n", "log.csv: no names in line 1; accepted: header, their line, or 0 for none"),
         (TWICE, b"t,qb,qb\n1,2,3", "log.csv: more than one column 'qb'; there are t, qb, qb, 1, 2, 3"),
         (HEADED, b"t,a,b\n", "log.csv: "),
-        (HEADED, b"t,a,b\n" + bytes(2_000_000), "log.csv: "),
-        (
-            HEADED,
-            b"t,a,b\n0,1e999,2\n",
-            "1 corrupt row, the first in line 2: column 2 is '1e999'; accepted: numbers of joints, up to 1e9",
-        ),
-        (HEADED, b"t,a,b\n0,1,nan\n", "line 2: column 3 is 'nan'; accepted: numbers of joints, up to 1e9"),
-        (
-            HEADED,
-            b"t,a,b\n0,1,2\n1,2,3_0\n2,2,x\n",
-            "2 corrupt rows, the first in line 3: column 3 is '3_0'",
-        ),
+        (HEADED, b"t,a,b\n0,1e999,2\n", "1 corrupt row, the first in line 2: column 2 is '1e999'; accepted: numbers"),
+        (HEADED, b"t,a,b\n0,1,2\n1,2,3_0\n2,2,x\n", "2 corrupt rows, the first in line 3: column 3 is '3_0'"),
         (HEADED, b"t,a,b\n0,1,2\n1,2,\n", "line 3: column 3 is ''; accepted: numbers"),
         (HEADED, b"t,a,b\n0,1,2\n1,2\n", "log.csv: 2 fields in line 3, others have 3; accepted: "),
         (HEADED, b't,a,b,c\n0,1,2,"x\n1,1,2,x\n', "a quotation mark without a second one in its line"),
-        (HEADED, b"t,a,b\n1_0,1,2\n", "line 2: column 1 is '1_0'; accepted: times of 0 to"),
         (HEADED, b"t,a,b\n,1,2\n", "line 2: column 1 is ''; accepted: times of 0 to 2147483648 s, or ISO 8601"),
-        (HEADED, b"t,a,b\n-0.1,1,2\n", "line 2: column 1 is '-0.1'; accepted: times of 0 to"),
         (HEADED, b"t,a,b\n2147483648,1,2\n", "line 2: column 1 is '2147483648'; accepted: times of 0 to 2147483648 s"),
-        (
-            HEADED,
-            b"t,a,b\n0,1,2\n5,1,2\n5,1,2\n",
-            "1 corrupt row, the first in line 4: column 1 is '5'; accepted: a later time than in the row before",
-        ),
+        (HEADED, b"t,a,b\n0,1,2\n5,1,2\n5,1,2\n", "line 4: column 1 is '5'; accepted: a later time than in the row"),
         (HEADED, b"t,a,b\n0,1,\0\n", "line 2: column 3 is '\ufffd'; accepted: numbers"),
     ],
 )
 def test_what_does_not_fit_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str], log: bytes, said: str
 ) -> None:
-    """A mapping and a log that do not fit each other, torn rows, no numbers, no times, numbers of Python alone.
-
-    Each is refused in one line with the place, the value and what is accepted; nothing is made.
-    """
+    """A mapping and a log that do not fit, torn rows, no numbers, no times: one line, and nothing is made."""
     (tmp_path / "log.csv").write_bytes(log)
     write(tmp_path / "m.yaml", PLAIN.replace(*change))
     words = ["import", str(tmp_path / "log.csv"), str(tmp_path / "bag"), "--signals", str(tmp_path / "m.yaml")]
@@ -200,14 +171,8 @@ def test_a_table_may_hold_several_topics(tmp_path: Path) -> None:
 motor_states: {names: [m], effort: {columns: [q], unit: A}}}"
     mapping = LogMapping.load(write(tmp_path / "map.yaml", "time: {column: t, unit: ms}\n" + topics))
     joints, motors = read_log(write(tmp_path / "log.csv", "t,q\n1,180\n3,90\n"), mapping)
-    assert (joints.topic, joints.names, motors.topic, motors.names) == (
-        "/joint_states",
-        ("a",),
-        "/motor_states",
-        ("m",),
-    )
-    assert joints.position is not None
-    assert motors.effort is not None
+    assert (joints.topic, joints.names) == ("/joint_states", ("a",))
+    assert (motors.topic, motors.names) == ("/motor_states", ("m",))
     assert joints.position[:, 0] == pytest.approx([np.pi, np.pi / 2])
     assert motors.effort[:, 0].tolist() == [180.0, 90.0]
     assert motors.stamp_ns.tolist() == [1_000_000, 3_000_000]
@@ -230,7 +195,6 @@ def test_efforts_in_amperes_stay_amperes(tmp_path: Path, capsys: pytest.CaptureF
         words = ["import", str(folder / "log.csv"), str(folder / "bag"), "--signals", str(folder / "mapping.yaml")]
         assert run("rx90 bag", words) == 0
         series = read_joint_states(folder / "bag", "joint_states")
-        assert series.effort is not None
         np.testing.assert_array_equal(series.effort, POSITION * 1e-3)
         label = f"effort [{unit.removeprefix('m')}]"
         assert series.quantities["effort"] == series.take(slice(0, 2)).select(["b"]).quantities["effort"] == label
@@ -318,7 +282,6 @@ def test_tables_are_what_others_read(bag: Path, tmp_path: Path) -> None:
     assert [int(row[0].replace(".", "")) for row in rows[1:]] == series.stamp_ns.tolist()
     table = np.array([[float(text) for text in row[1:]] for row in rows[1:]])
     assert list(pd.read_csv(tmp_path / "f.csv")) == rows[0]
-    assert series.position is not None
     assert np.array_equal(table, series.position, equal_nan=True)
     export_bag(bag, tmp_path / "f.parquet", topics=["friction_states"])
     frame = pd.read_parquet(tmp_path / "f.parquet")
@@ -350,18 +313,3 @@ def test_a_table_needs_one_set_of_joints(tmp_path: Path) -> None:
     changing = write_ros2(tmp_path / "changing", [("/joints", 10, first), ("/joints", 30, other)])
     with pytest.raises(BagError, match="several sets of joints: a, b; c"):
         export_bag(changing, tmp_path / "changed.csv")
-
-
-def test_who_interrupts_leaves_nothing(
-    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Ctrl-C in the middle of an export ends with 130, and no file stands there."""
-
-    def interrupted(path: Path, *_: object) -> None:
-        path.write_text("half a table", encoding="utf-8")
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(exporting, "FORMATS", dict.fromkeys(exporting.FORMATS, interrupted))
-    assert run("rx90 bag", ["export", str(bag), "--output", str(tmp_path / "out"), "--topic", "joint_states"]) == 130
-    assert "interrupted; nothing was written" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []

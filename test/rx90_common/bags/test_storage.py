@@ -38,29 +38,17 @@ def metadata(change: Callable[[dict[str, Any]], object]) -> Damage:
     return edit
 
 
-def topic_of(content: dict[str, Any]) -> Any:
-    return content["topics_with_message_count"][0]
-
-
-def text(content: bytes) -> Damage:
-    return lambda bag: (bag / "metadata.yaml").write_bytes(content)
-
-
 def truncate(share: float) -> Damage:
     return lambda bag: os.truncate(bag / "bag.mcap", int(share * (bag / "bag.mcap").stat().st_size))
 
 
-ALIASES = "a0: &a0 1\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 60))  # 2^59 values
 DAMAGES: dict[str, tuple[Damage, str]] = {
     "missing": (shutil.rmtree, "no such bag"),
     "foreign folder": (
         lambda bag: [*(file.unlink() for file in bag.iterdir()), (bag / "letter.txt").write_text("hello")],
         "no bag, or without metadata.yaml, which 'ros2 bag reindex' writes; accepted: ",
     ),
-    "no YAML": (text(b"{]"), "metadata.yaml: not valid YAML"),
-    "empty": (text(b""), "metadata.yaml: holds nothing"),
-    "binary": (text(b"\xff\xfe"), "metadata.yaml: cannot be read"),
-    "aliases": (text(ALIASES.encode()), "metadata.yaml: not valid YAML (more than 150,000 values"),
+    "empty": (lambda bag: (bag / "metadata.yaml").write_bytes(b""), "metadata.yaml: holds nothing"),
     "without files": (metadata(lambda c: c.pop("relative_file_paths")), "damaged: KeyError: 'relative_"),
     "with other count": (metadata(lambda c: c.update(message_count=31)), "says 31 messages, the storage holds 30; "),
     "with a text for a count": (metadata(lambda c: c.update(message_count="x")), "metadata.yaml says 'x' messages"),
@@ -75,7 +63,6 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
         truncate(0.99),
         "bag.mcap is cut off (its recorder was killed, or the disk was full?); 'mcap recover' restores what is whole",
     ),
-    "storage cut early": (truncate(0.5), "bag.mcap is cut off"),
 }  # fmt: skip
 
 
@@ -153,10 +140,7 @@ def read_by_index(path: Path) -> Messages | None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["mcap", "sqlite3", "foreign mcap"])
 def test_a_bit_that_has_changed_is_noticed_or_does_no_harm(tmp_path: Path, kind: str) -> None:
-    """Each bag with a flipped bit is refused, or gives what was written or others find; ours: what was written.
-
-    An mcap file of this project has checksums over all that leads to messages: no bit of it changes one unnoticed.
-    """
+    """Each bag with a flipped bit is refused, or gives what was written or others find; ours: what was written."""
     storage = kind.rpartition(" ")[2]
     if kind.startswith("foreign"):
         messages = [(f"/{x}", i, joint_state(i, [x], [1.0])) for i in range(4) for x in "ab"]
@@ -191,7 +175,6 @@ def test_a_bit_that_has_changed_is_noticed_or_does_no_harm(tmp_path: Path, kind:
 INDEX_FAULTS = {
     "the place of a chunk": (0x08, 16, "is damaged: "),
     "a count of the statistics": (0x0B, 48, "is damaged: it has 4 messages, its topics 0"),
-    "a channel of the summary": (0x04, 0, "is damaged: it has 4 messages, its topics 0"),
     "a channel's metadata": (0x04, 21, "is damaged: "),
     "the kind of a record in the summary": (0x04, -9, "is damaged: "),
     "the footer": (0x02, 0, "is damaged: "),
@@ -215,7 +198,7 @@ def test_an_index_that_leads_elsewhere_is_refused(tmp_path: Path, fault: str) ->
         read_all(file)
 
 
-def write_mcap(path: Path, compression: CompressionType, index: IndexType) -> None:
+def write_mcap(path: Path, compression: CompressionType, index: IndexType) -> Path:
     """Write 20 messages in several chunks by the mcap project's writer."""
     writer = McapWriter(str(path), chunk_size=500, compression=compression, index_types=index)
     writer.start("ros2")
@@ -224,6 +207,7 @@ def write_mcap(path: Path, compression: CompressionType, index: IndexType) -> No
         data = bytes(ROS2.serialize_cdr(joint_state(stamp, ["a"], [1.0]), JOINT_STATE))
         writer.add_message(channel, log_time=stamp, publish_time=stamp, data=data)
     writer.finish()
+    return path
 
 
 def undamaged(folder: Path, kind: str) -> Path:
@@ -233,11 +217,9 @@ def undamaged(folder: Path, kind: str) -> Path:
     if kind == "ros1":
         messages = [("/x", i, joint_state(i, ["a"], [1.0], store=ROS1)) for i in range(20)]
         return write_ros1(folder / "bag.bag", messages)
-    compression, index = {"zstd": (CompressionType.ZSTD, IndexType.ALL), "lz4": (CompressionType.LZ4, IndexType.NONE)}[
-        kind
-    ]
-    write_mcap(folder / "bag.mcap", compression, index)
-    return folder / "bag.mcap"
+    if kind == "zstd":
+        return write_mcap(folder / "bag.mcap", CompressionType.ZSTD, IndexType.ALL)
+    return write_mcap(folder / "bag.mcap", CompressionType.LZ4, IndexType.NONE)
 
 
 @pytest.mark.slow
@@ -269,21 +251,10 @@ def test_each_of_600_damages_is_one_line(tmp_path: Path, kind: str) -> None:
         files[choice].write_bytes(contents[choice])
 
 
-OTHERWISE: dict[str, Damage] = {
-    "quality of service": metadata(lambda c: topic_of(c)["topic_metadata"].update(offered_qos_profiles=[])),
-    "no quality of service": metadata(lambda c: topic_of(c)["topic_metadata"].pop("offered_qos_profiles")),
-    "another type hash": metadata(lambda c: topic_of(c)["topic_metadata"].update(type_description_hash="RIHS01_0")),
-    "another encoding": metadata(lambda c: topic_of(c)["topic_metadata"].update(serialization_format="other")),
-    "another storage": metadata(lambda c: c.update(storage_identifier="other")),
-    "a later version": metadata(lambda c: c.update(version=99)),
-}
-
-
-@pytest.mark.parametrize("otherwise", OTHERWISE)
-def test_what_the_metadata_say_beside_the_counts_is_not_needed(tmp_path: Path, otherwise: str) -> None:
-    """Metadata that differ from the storage in what no message needs, or are not there, keep no message back."""
+def test_what_the_metadata_say_beside_the_counts_is_not_needed(tmp_path: Path) -> None:
+    """Another version and storage, and nothing about the topics, keep no message back."""
     write_joint_states(tmp_path / "bag", [series(30)])
-    OTHERWISE[otherwise](tmp_path / "bag")
+    metadata(lambda c: c.update(version=99, storage_identifier="other", topics_with_message_count=[]))(tmp_path / "bag")
     np.testing.assert_array_equal(read_joint_states(tmp_path / "bag", "joint_states").position, series(30).position)
 
 
@@ -333,10 +304,7 @@ INDEXES = {"all": IndexType.ALL, "none of chunks": IndexType.MESSAGE, "no chunks
 def test_an_mcap_file_is_read_by_whatever_index_it_has(
     tmp_path: Path, index: str, compression: CompressionType
 ) -> None:
-    """Files of the mcap project's writer, with less and less of an index, and with it in any order of time.
-
-    Of chunks that hold other topics than those asked for no message too many is read.
-    """
+    """Files of the mcap project's writer, with less and less of an index, in any order of time, by chosen topics."""
     path = tmp_path / "bag.mcap"
     summary = index != "no summary"
     writer = McapWriter(
@@ -354,11 +322,7 @@ def test_an_mcap_file_is_read_by_whatever_index_it_has(
         writer.add_message(joints, log_time=stamp, publish_time=stamp, data=data)
         writer.add_message(other if stamp < STAMPS[20] else late, log_time=stamp, publish_time=stamp, data=data)
     writer.finish()
-    assert {(t.topic, t.count) for t in summarise(path).topics} == {
-        ("/joint_states", 40),
-        ("/late", 20),
-        ("/other", 20),
-    }
+    assert {t.topic: t.count for t in summarise(path).topics} == {"/joint_states": 40, "/late": 20, "/other": 20}
     for topic, stamps in (("joint_states", STAMPS), ("late", STAMPS[20:])):
         assert read_joint_states(path, topic).stamp_ns.tolist() == stamps
     with BagReader(path) as bag:

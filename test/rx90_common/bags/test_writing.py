@@ -81,20 +81,13 @@ def test_files_are_those_of_rosbags(tmp_path: Path) -> None:
 
 
 def test_bag_opens_elsewhere(tmp_path: Path) -> None:
-    """Rosbags finds every message at its stamp, in order, with its values and its quality of service.
-
-    Writing the same once more gives the same files.
-    """
+    """Rosbags finds every message at its stamp, in order, with its values and its quality of service."""
     fast, slow = series(40, topic="/motor_states"), series(10, topic="joint_states", step_ns=4_000_000)
     text = string_message("robot_description", "<robot/>")
     note = SingleMessage("note", 5_500_000, text.message)
-    paths = [tmp_path / name / "bag" for name in ("one", "other")]
-    for path in paths:
-        write_joint_states(path, [fast, slow], messages=[text, note])
-    for file in paths[0].iterdir():
-        assert (paths[1] / file.name).read_bytes() == file.read_bytes()
+    write_joint_states(tmp_path / "bag", [fast, slow], messages=[text, note])
     found: list[tuple[int, str]] = []
-    with AnyReader(paths[:1]) as reader:
+    with AnyReader([tmp_path / "bag"]) as reader:
         for connection, log_ns, data in reader.messages():
             found.append((log_ns, connection.topic))
             message: Any = reader.deserialize(data, connection.msgtype)

@@ -56,22 +56,16 @@ BROKEN: list[tuple[str | bytes, str]] = [
     ("a: 1\na: 2", "the key 'a' stands twice"),
     ("a: 1\n---\na: 2", "not valid YAML"),
     (b"\xff\xfe\x00", "cannot be read"),
-    (b"a: \x00", "not valid YAML"),
-    ("a: !!python/object:os.system 1", "not valid YAML"),
-    ("a: &x [*x]", "not valid YAML"),
     ("a: 1\n2: 3", "the key 2 is not a name"),
     ('"a\\nb": 1', r"the key 'a\nb' is not a name in one line"),
-    ("a: " + "1" * 5000, "not valid YAML"),
     ('a: ["\\ud800"]', "invalid Unicode character escape code"),
     ("a: !!int foo", "not valid YAML"),
-    ("a: !!set {b}", "could not determine a constructor for the tag"),
     ("a: " + "[" * 100 + "]" * 100, "deeper than 64 levels"),
     ("a: " + "[" * 5000, "exceeded maximum nesting depth"),
     ("a: &x {b: *x}", "'x' stands for something that contains it"),
     ("a: 0x" + "f" * 100_000, "an integer of 100,002 characters; accepted: up to 400"),
     (BOMB, "more than 150,000 values"),
     (f"a: [{'1, ' * 190_000}1]", "has 190,000 commas and line ends; accepted: up to 150,000, and as many values"),
-    ("a:\n" + "- 1\n" * 190_000, "has 190,001 commas and line ends; accepted: up to 150,000"),
     ("a:\n" + "- - - - - -\n" * 70_000, "more than 150,000 values, line 250"),
     ("a: !" + "x" * 100_000 + " 1", "could not determine a constructor for the tag '!xxx"),
     ("a" * (3 << 20) + "b", "larger than 3,145,728 bytes"),
@@ -118,9 +112,8 @@ def test_the_first_of_several_documents(write: Write) -> None:
     """Where a stream of documents is expected the first one counts, and it has to be a mapping."""
     assert read_yaml(write("a: 1\n---\nb: 2\n---\n"), first=True) == {"a": 1}
     path = write("")
-    assert refusal(lambda: read_yaml(path, "a trajectory", first=True), path).endswith(
-        "holds nothing; accepted: a trajectory"
-    )
+    said = refusal(lambda: read_yaml(path, "a trajectory", first=True), path)
+    assert said.endswith("holds nothing; accepted: a trajectory")
 
 
 def test_a_list_that_is_used_twice_is_written_twice(write: Write) -> None:
@@ -149,13 +142,6 @@ def test_what_is_written_is_read_back(content: dict[str, Any]) -> None:
         again = read_yaml(path)
         old = yaml.load(path.read_text(encoding="utf-8"), yaml.CSafeLoader)
     assert repr(again) == repr(old) == repr(content)  # tells 0.0 from -0.0, which == does not
-
-
-def test_the_source_tree_is_its_own_share_folder() -> None:
-    """In a checkout the data folder is the checkout, and shipped files are found under config/."""
-    root = Path(share.__file__).resolve().parents[2]
-    assert share.share_directory() == root
-    assert share.config_path("robots/rx90b/friction.yaml").is_file()
 
 
 def test_an_installed_package_finds_the_environment_s_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,12 +34,6 @@ def _states(robot: RobotModel, count: int, seed: int = 3) -> np.ndarray:
     return np.random.default_rng(seed).uniform(robot.lower, robot.upper, (count, 6))
 
 
-def _arm(robot: RobotModel) -> SphericalWristArm:
-    arm = SphericalWristArm.from_chain(robot.chain)
-    assert arm is not None
-    return arm
-
-
 def _check_against_pinocchio(robot: RobotModel) -> None:
     """Check pose, Jacobian and classical acceleration of the tool centre point in ten states."""
     data, frame = robot.model.createData(), robot.model.getFrameId(robot.tcp_frame)
@@ -93,7 +87,6 @@ def test_one_of_the_eight_solutions_is_where_the_arm_was(
     """One branch gives random angles back, up to whole turns, the others their pose; also of another arm."""
     chain = change(shipped.robot.chain)
     arm = SphericalWristArm.from_chain(chain)
-    assert arm is not None
     q = _states(shipped.robot, 200)
     pose = forward(chain, q)
     found = np.zeros(200)
@@ -107,11 +100,11 @@ def test_one_of_the_eight_solutions_is_where_the_arm_was(
 
 def test_out_of_reach_is_nan(shipped: Setup) -> None:
     """A pose farther than the arm is long has no angles, and its neighbours in the same call are unharmed."""
-    robot, arm = shipped.robot, _arm(shipped.robot)
+    robot = shipped.robot
     pose = forward(robot.chain, _states(robot, 3))
     far = pose.position.copy()
     far[1] = [2.0, 0.0, 0.4]
-    q = arm.solve(robot.chain, pose._replace(position=far), BRANCHES[0])
+    q = SphericalWristArm.from_chain(robot.chain).solve(robot.chain, pose._replace(position=far), BRANCHES[0])
     assert np.isnan(q[1]).any()
     assert not np.isnan(q[[0, 2]]).any()
 
@@ -122,8 +115,6 @@ def test_other_arms_are_solved_by_newton_steps_alone(random_arm: Callable[[int],
     assert SphericalWristArm.from_chain(robot.chain) is None
     pose = forward(robot.chain, _states(robot, 1)[0])
     first, second = (solve_anywhere(robot, pose) for _ in range(2))
-    assert first is not None
-    assert second is not None
     np.testing.assert_array_equal(first, second)
     np.testing.assert_allclose(forward(robot.chain, first).position, pose.position, atol=1e-11)
 

@@ -10,7 +10,6 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
-import rx90_emulator as rx
 from rx90_common.base.arrays import Array
 from rx90_common.base.share import config_path
 from rx90_common.description.kinematics import forward
@@ -38,7 +37,6 @@ def test_masses_with_and_without_tool(shipped_files: RobotFiles) -> None:
 
 def test_the_tool_centre_point_is_as_the_file_says(shipped_files: RobotFiles, edited_yaml: Callable[..., Path]) -> None:
     """Its position, m, and roll, pitch and yaw about fixed axes, degrees, are in the axes of link tool0."""
-    assert shipped_files.tool is not None
     tool = edited_yaml(shipped_files.tool, ("tcp",), {"position": [0.01, -0.02, 0.2], "rpy_degrees": [10, -20, 130]})
     q = np.array([0.1, 0.5, 1.2, -0.3, 0.9, 0.4])
     mount, point = (forward(load_robot(shipped_files.urdf, file).chain, q) for file in (None, tool))
@@ -171,19 +169,6 @@ def test_the_torque_is_that_of_the_published_parameters(tx40: Setup) -> None:
     assert np.abs(got - want).max() < 1e-10 * np.abs(want).max()
 
 
-def test_the_links_are_physically_consistent(tx40: Setup) -> None:
-    """A mass density that is nowhere negative can have each link's pseudo-inertia matrix: it is positive definite."""
-    for inertia in tx40.robot.model.inertias[1:]:
-        about_origin = np.asarray(inertia.inertia) - inertia.mass * np.asarray(
-            pin.skewSquare(inertia.lever, inertia.lever)
-        )
-        pseudo = np.zeros((4, 4))
-        pseudo[:3, :3] = 0.5 * np.trace(about_origin) * np.eye(3) - about_origin
-        pseudo[:3, 3] = pseudo[3, :3] = inertia.mass * inertia.lever
-        pseudo[3, 3] = inertia.mass
-        assert np.linalg.eigvalsh(pseudo).min() > 0.0
-
-
 def test_reach_and_limits_are_the_published_ones(tx40: Setup) -> None:
     """Straight up the flange is 0.515 m above joint 2 and 35 mm to the side; ranges and speeds are the published."""
     robot = tx40.robot
@@ -231,7 +216,6 @@ LINKS = (
     (1.666555, (0.060149, -0.014117, -0.010517), (0.001964, 0.000109, -0.001158, 0.004354, 0.000341, 0.005433)),
     (0.735522, (0.010517, -0.004252, 0.061597), (0.012516, -0.000428, -0.001196, 0.010027, -0.000741, 0.004815)),
 )
-READY = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 
 
 @pytest.fixture(scope="module")
@@ -289,18 +273,3 @@ def test_limits_and_friction_are_those_of_their_sources(panda: Setup) -> None:
     )
     assert own.elements == library.elements
     assert own.identification["parameters"].keys() == own.elements.entries.keys()
-
-
-def test_a_controller_of_ones_own_holds_seven_joints(panda: Setup) -> None:
-    """Gravity by Pinocchio and weak springs in a function hold the arm."""
-    model, data = panda.robot.model, panda.robot.model.createData()
-    stiffness = np.array([200.0] * 4 + [20.0] * 2 + [4.0])
-
-    def law(position: np.ndarray, velocity: np.ndarray, _: float) -> np.ndarray:
-        gravity = pin.computeGeneralizedGravity(model, data, position)
-        return np.asarray(gravity + stiffness * (READY - position) - 0.05 * stiffness * velocity)
-
-    run = rx.run_controller(panda, law, 0.2, initial_position=READY)
-    assert run.joint_states.shape == run.friction_states.shape == (200, 3, 7)
-    assert np.abs(run.joint_states[:, 0] - READY).max() < 1e-4
-    assert run.series["joint_states"].names == panda.robot.joint_names

@@ -23,7 +23,6 @@ AXIS_1 = '<child link="link_1"/>\n    <axis xyz="0 0 1"/>'
 
 CASES = {
     "broken XML": ("</robot>", "", "not well-formed XML"),
-    "another root": ("robot", "model", "Could not find the 'robot' element"),
     "xacro": ('<link name="flange"/>', XACRO, "expand it with xacro"),
     "prismatic": (JOINT_5, '<joint name="joint_5" type="prismatic">', "'joint_5' type is 'prismatic'"),
     "side branch": ('<parent link="link_5"/>', '<parent link="link_4"/>', "on a side branch"),
@@ -35,10 +34,8 @@ CASES = {
     "zero mass": (LINK_5, '<mass value="0"/>', "'joint_5' moves no mass"),
     "not definite by products": (INERTIA_5, INERTIA_5.replace('ixy="0"', 'ixy="0.003"'), "positive definite"),
     "triangle": (INERTIA_5, INERTIA_5.replace("0.0008", "0.0080"), "any two add up"),
-    "one limit missing": (LIMIT_5, LIMIT_5.replace("effort", "force"), r"joint \[joint_5\]: limit has no effort"),
     "limits crossed": (LIMIT_5, LIMIT_5.replace('"-1.83', '"3.83'), "'joint_5' limit lower is 3.83"),
     "axis zero": (AXIS_1, AXIS_1.replace("0 0 1", "0 0 0"), "'joint_1': axis is 0 0 0"),
-    "origin": ('<origin xyz="0 0 0.420"/>', '<origin xyz="0 0 high"/>', r"\[high\].* joint \[joint_1\]"),
 }  # fmt: skip
 
 
@@ -58,17 +55,6 @@ def test_bad_urdf_is_refused_naming_file_element_and_value(
     assert re.search(expected, message), message
     assert message.startswith(str(file))
     assert "\n" not in message
-
-
-def test_a_link_without_any_mass_is_refused(shipped_files: RobotFiles, tmp_path: Path) -> None:
-    """A moving link with no inertial element, nor anything heavy fixed to it, is named."""
-    text = shipped_files.urdf.read_text(encoding="utf-8")
-    bare = re.sub(r'(<link name="link_3">)\s*<inertial>.*?</inertial>', r"\1", text, count=1, flags=re.DOTALL)
-    assert bare != text
-    file = tmp_path / "massless.urdf"
-    file.write_text(bare, encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"joint 'joint_3' moves no mass"):
-        load_robot(file)
 
 
 def test_what_does_not_move_may_have_any_inertia(shipped_files: RobotFiles, tmp_path: Path) -> None:

@@ -7,14 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rx90_common.arm_dynamics import body_dtype, inverse_dynamics, manipulator_record, mass_and_bias
+from rx90_common.base.arrays import Array
 from rx90_common.description.robot import load_robot
 from rx90_common.rigid_torque import rigid_torque
 from rx90_emulator.loop.setup import Setup
-
-Array = NDArray[np.float64]
 
 
 def compiled(setup: Setup, q: Array, v: Array) -> tuple[Array, Array]:

@@ -13,13 +13,8 @@ MOTORS = tuple(f"motor_{i}" for i in range(1, 7))
 STORE = get_typestore(Stores.ROS2_JAZZY)
 NS = 10**9
 
-names_of_joints = st.lists(
-    st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=9),
-    min_size=1,
-    max_size=7,
-    unique=True,
-)
 frames = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=9)
+names_of_joints = st.lists(frames.filter(bool), min_size=1, max_size=7, unique=True)
 stamps = st.integers(0, (1 << 31) * NS - 1)
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 
@@ -143,11 +138,7 @@ def test_fast_path_refuses_numbers_that_are_not_finite(bad):
 
 @pytest.mark.parametrize(
     ("stamp_ns", "array", "complaint"),
-    [
-        (-1, np.ones(6), "-1 ns"),
-        (0, np.ones(5), r"shape \(5,\)"),
-        (0, np.ones(6, dtype=np.int64), "int64"),
-    ],
+    [(-1, np.ones(6), "-1 ns"), (0, np.ones(5), r"shape \(5,\)"), (0, np.ones(6, dtype=np.int64), "int64")],
 )
 def test_encoding_refuses_what_the_message_cannot_hold(stamp_ns, array, complaint):
     """A stamp out of range, an array of another shape or type, and names that are not given once each are refused."""
@@ -156,11 +147,3 @@ def test_encoding_refuses_what_the_message_cannot_hold(stamp_ns, array, complain
     for names in ((), ("",), ("a", "a"), ("a\0b",)):
         with pytest.raises(ExchangeError):
             JointStateCodec(names)
-
-
-def test_an_encoder_reads_its_arrays_when_it_is_called() -> None:
-    """Neither the codec nor the arrays need another owner."""
-    now = np.zeros(6)
-    encode_now = JointStateCodec(MOTORS).encoder(effort=now)
-    now[:] = 3.0
-    assert JointStateCodec(MOTORS).decode(encode_now(0))[3].tolist() == [3.0] * 6

@@ -1,6 +1,5 @@
 """Channels between processes and within one, on real DDS in one process; one publisher for each tick topic."""
 
-import ctypes
 import os
 import signal
 import subprocess
@@ -10,7 +9,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import partial
-from pathlib import Path
 
 import pytest
 from processes import on_own_domain, wait_until
@@ -20,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from rx90_common.base.errors import ConfigError, ExchangeError
-from rx90_common.exchange.arrivals import count_arrivals
+from rx90_common.base.share import ROOT
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Channel, LocalLink, TickChannel, lock_publisher
 from rx90_common.exchange.endpoints import TICK_QOS, wait_until_matched
@@ -28,7 +26,6 @@ from rx90_common.exchange.endpoints import TICK_QOS, wait_until_matched
 pytestmark = pytest.mark.ros
 QOS = TICK_QOS
 RAW = [JointStateCodec(["a"]).encode(tick) for tick in range(3)]
-ROOT = Path(__file__).parents[3]
 HOLD = """
 import sys, time
 from rx90_common.exchange.channel import lock_publisher
@@ -44,20 +41,6 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
     logs = tmp_path_factory.mktemp("logs")
     with pytest.MonkeyPatch.context() as patch, on_own_domain(patch, logs), closing(Client()) as started:
         yield started
-
-
-def test_every_message_is_counted(client: Client) -> None:
-    """The counter goes up by one with each message, though nobody takes any."""
-    publisher = client.node.create_publisher(JointState, "numbers", QOS)
-    subscription = client.node.create_subscription(JointState, "numbers", lambda _message: None, QOS, raw=True)
-    counter = ctypes.c_int64(0)
-    assert count_arrivals(subscription, counter)
-    wait_until(lambda: publisher.get_subscription_count() == 1, "the subscription")
-    for _ in range(20):
-        publisher.publish(JointState())
-    wait_until(lambda: counter.value >= 20, "the messages")
-    assert counter.value == 20
-    client.node.destroy_subscription(subscription)
 
 
 @pytest.mark.parametrize("counted", [True, False])
@@ -114,10 +97,7 @@ def test_messages_come_in_order_and_from_the_peer_alone(client: Client, monkeypa
 
 
 def test_a_wait_ends_with_a_message_or_a_wake(client: Client) -> None:
-    """Who waits gets the message that another thread sends, and comes back empty-handed when woken.
-
-    The announcement of a message that has been taken already, by a sender that was held up, ends no wait.
-    """
+    """Who waits gets what another thread sends, and nothing when woken; late announcements of messages end no wait."""
     link = LocalLink()
     first = link.end(client.node, "waited_states", "waited_commands", QOS)
     second = link.end(client.node, "waited_commands", "waited_states", QOS)
@@ -198,7 +178,6 @@ def test_a_lock_goes_with_the_process_that_holds_it() -> None:
     topic = f"/test_{os.getpid()}/motor_states"
     holder = subprocess.Popen([sys.executable, "-c", HOLD, topic], cwd=ROOT, stdout=subprocess.PIPE, text=True)
     try:
-        assert holder.stdout is not None
         assert holder.stdout.readline() == "held\n"
         with pytest.raises(ExchangeError) as caught:
             lock_publisher(7, topic)

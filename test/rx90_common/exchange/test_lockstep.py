@@ -20,13 +20,7 @@ def message(tick: int, value: float = 0.0) -> bytes:
 
 
 class Controller:
-    """The channel to a controller that replays what a test gives it; waiting lets the clock pass.
-
-    Attributes:
-        side: the lock-step with it.
-        passed: since the begin, s.
-        on_wait: called when there is nothing to receive.
-    """
+    """The channel to a controller that replays what a test gives it; waiting lets the clock pass."""
 
     subscribe_topic = "/other"
 

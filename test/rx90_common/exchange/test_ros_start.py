@@ -17,20 +17,18 @@ RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 NAMES = (PROFILES, RANGE, "FASTDDS_BUILTIN_TRANSPORTS", "RMW_IMPLEMENTATION", "ROS_STATIC_PEERS")
 
 
-@pytest.fixture
-def environment(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+@pytest.fixture(autouse=True)
+def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
     """Empty the variables; whatever `prepare` sets is taken back."""
     for name in NAMES:
         monkeypatch.setenv(name, "")  # so that monkeypatch remembers each of them
         monkeypatch.delenv(name)
-    return monkeypatch
 
 
 def now() -> dict[str, str]:
     return {name: os.environ[name] for name in NAMES if name in os.environ}
 
 
-@pytest.mark.usefixtures("environment")
 def test_on_a_network_udp_and_the_shipped_profiles_are_chosen() -> None:
     """Without a discovery range the range stays ROS's own, on UDP, with a profile file that exists."""
     prepare()
@@ -39,7 +37,6 @@ def test_on_a_network_udp_and_the_shipped_profiles_are_chosen() -> None:
     assert Path(now()[PROFILES]).is_file()
 
 
-@pytest.mark.usefixtures("environment")
 def test_localhost_is_a_profile_of_its_own() -> None:
     """LOCALHOST, with which ROS would add shared memory, becomes a profile on 127.0.0.1, but not with static peers."""
     os.environ[RANGE] = "localhost"
@@ -56,7 +53,6 @@ def test_localhost_is_a_profile_of_its_own() -> None:
     assert {name: now()[name] for name in own} == own
 
 
-@pytest.mark.usefixtures("environment")
 @pytest.mark.parametrize(
     "own",
     [
@@ -72,7 +68,6 @@ def test_what_the_user_has_set_stays(own: dict[str, str], monkeypatch: pytest.Mo
     assert now() == own
 
 
-@pytest.mark.usefixtures("environment")
 def test_both_profiles_have_the_same_writers() -> None:
     """The two files differ in the transport, never in how the topics of the ticks are repaired and kept."""
     names = []
@@ -89,13 +84,9 @@ def test_both_profiles_have_the_same_writers() -> None:
     assert len(names[0]) == 3
 
 
-@pytest.mark.usefixtures("environment")
 @pytest.mark.parametrize(
     ("name", "value", "accepted"),
-    [
-        ("ROS_DOMAIN_ID", "233", "0 to 232"),
-        ("RMW_IMPLEMENTATION", "rmw_nothing_cpp", "rmw_fastrtps_cpp"),
-    ],
+    [("ROS_DOMAIN_ID", "233", "0 to 232"), ("RMW_IMPLEMENTATION", "rmw_nothing_cpp", "rmw_fastrtps_cpp")],
 )
 def test_what_cannot_be_is_refused(monkeypatch: pytest.MonkeyPatch, name: str, value: str, accepted: str) -> None:
     """A domain without ports and a middleware that is not installed are named with what is accepted."""

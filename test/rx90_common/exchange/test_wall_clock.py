@@ -167,9 +167,7 @@ def test_who_is_gone_or_who_interrupts_is_not_waited_for() -> None:
 
 def test_the_text_carries_mode_and_rates() -> None:
     """What is written can be read, and is readable."""
-    mode = TimeMode("free_running", Rates(8000, 2000))
-    assert mode.text == "free_running base_rate=8000 position_rate=2000"
-    assert TimeMode.parse(mode.text) == mode
-    of_robot = TimeMode("free_running", Rates(8000, 2000), "my arm")
-    assert of_robot.text == f"{mode.text} robot=my arm"
-    assert TimeMode.parse(of_robot.text) == of_robot
+    for name, text in ((None, ""), ("my arm", " robot=my arm")):
+        mode = TimeMode("free_running", Rates(8000, 2000), name)
+        assert mode.text == f"free_running base_rate=8000 position_rate=2000{text}"
+        assert TimeMode.parse(mode.text) == mode

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from signed_element import ELEMENT
 
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.bristle import bristle_step, damping, friction_torque
+from rx90_common.friction.bristle import bristle_step, friction_torque
 from rx90_common.friction.compiled_elements import element_arrays, one_element
 
 Record = Callable[[FrictionElement], Any]
@@ -107,14 +107,7 @@ def test_a_step_at_constant_velocity_is_exact(v: float, step: float, z: float) -
 def steps_errors(
     element: FrictionElement, velocity: Callable[[float], float], turn: Sequence[float], counts: Sequence[int]
 ) -> NDArray[np.float64]:
-    """Return by how much c0 z, Nm, and the torque's impulse, Nm s, miss a stiff solver's in 0.2 s, shape (counts, 2).
-
-    Args:
-        element: its parameters.
-        velocity: rad/s at a time in s.
-        turn: where it reverses: kinks of |v|, at which the solver is stopped and started.
-        counts: of steps.
-    """
+    """Return by how much c0 z, Nm, and the torque's impulse, Nm s, miss a stiff solver's, shape (counts, 2)."""
     oracle, compiled, end = LuGreOracle((element,)), one_element(element_arrays((element,))[0], 0), 0.2
 
     def rhs(t: float, y: NDArray[np.float64]) -> list[float]:
@@ -213,10 +206,7 @@ def test_every_parameter_set_gives_numbers(
 
 
 def test_constant_damping_gives_energy_back_beyond_its_limit(record: Record) -> None:
-    """A jump from stiction to sliding dissipates below the reported speed and creates energy above it.
-
-    With tau_s = 2 tau_c the loaded bristle starts at z = 2 g(v), where c1 |v| < 4 c0 g is sharp.
-    """
+    """A jump from stiction to sliding dissipates below the reported speed and creates energy above it."""
     element = FrictionElement(tau_c=25.0, tau_s=50.0, omega_s=0.01, delta=1.0, c0=1e5, c1=100.0, c2=0.0)
     compiled = record(element)
     limit = element.passivity_limit(10.0)
@@ -231,14 +221,6 @@ def test_constant_damping_gives_energy_back_beyond_its_limit(record: Record) -> 
     assert dissipated(0.97 * limit) > 0.0
     assert dissipated(1.03 * limit) < 0.0
     assert math.isinf(element.replaced(omega_d=1.0).passivity_limit(10.0))
-
-
-def test_damping_fades_as_documented(record: Record) -> None:
-    """The damping is c1 at rest, c1/e at omega_d, and constant where omega_d is infinite."""
-    fading, constant = record(ELEMENT), record(CONSTANT_C1)
-    assert damping(fading, 0.0) == 100.0
-    assert damping(fading, -1.0) == pytest.approx(100.0 / math.e, rel=1e-15)
-    assert damping(constant, 1e6) == 100.0
 
 
 def test_the_damping_s_limit_does_not_depend_on_the_exponent() -> None:

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from parted_joint import Seven, along, any_element
 from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator
 
 import rx90_emulator as rx
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import model_text
 from rx90_common.friction import FrictionElement
@@ -21,7 +21,6 @@ from rx90_common.friction.parts.curve import CurvePart, CurveTable
 from rx90_emulator.loop.parameters import Catalogue
 from rx90_emulator.loop.setup import Setup
 
-Array = NDArray[np.float64]
 STRIBECK = {"velocity": [0.0, 0.01, 0.03, 0.1, 0.5, 2.0], "torque": [32.0, 30.0, 27.0, 25.5, 25.0, 25.5]}
 OTHER = {"velocity": [0.02, 0.2, 1.0], "torque": [20.0, 18.0, 18.0]}
 

@@ -6,17 +6,15 @@ import numba
 import numpy as np
 import pytest
 from bristle_oracles import random_element
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import bristle_step, friction_torque
 from rx90_common.friction.compiled_elements import element_arrays, load_elements, one_element, prescribed_torque
 from rx90_common.friction.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_common.kernels.lanes import load, store
-from rx90_emulator.loop.setup import Setup
 
-Array = NDArray[np.float64]
 STEP = 2.5e-4
 
 
@@ -59,24 +57,6 @@ def test_the_set_equals_its_elements(deltas: list[float], alphas: list[float]) -
             single = [*bristle_step(one, *at, STEP), friction_torque(one, *at)]
             single += [*elasto_plastic_step(one, away[i], *at, STEP), elasto_plastic_torque(one, away[i], *at)]
             assert out[:, i].tolist() == single
-
-
-def test_the_arrays_hold_each_sign_in_its_row(shipped: Setup) -> None:
-    """Torques for v >= 0 stand in the first row and for v < 0 in the second, everything else once, in SI units."""
-    element = FrictionElement(
-        tau_c={"positive": 2.0, "negative": 3.0},
-        tau_s={"positive": 4.0, "negative": 5.0},
-        omega_s=0.5,
-        delta=6.0,
-        c0=7.0,
-        c1=8.0,
-        c2=9.0,
-    )
-    arrays = element_arrays((*shipped.friction.elements, element))[0]
-    assert (arrays["tau_c"][:, 7].tolist(), arrays["tau_s"][:, 7].tolist()) == ([2.0, 3.0], [4.0, 5.0])
-    rest = [arrays[name][7] for name in ("inverse_omega_s", "delta", "c0", "c1", "c2", "inverse_omega_d", "alpha")]
-    assert rest == [2.0, 6.0, 7.0, 8.0, 9.0, 0.0, 1.0]
-    assert arrays["tau_c"][1, :7].tolist() == [e.tau_c.negative for e in shipped.friction.elements]
 
 
 PLAIN = FrictionElement(tau_c=25.0, tau_s=28.0, omega_s=0.05, delta=1.0, c0=1e5, c1=100.0, c2=14.0)

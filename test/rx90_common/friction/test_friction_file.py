@@ -1,7 +1,6 @@
 """The friction file: what is refused, in which words, and what is warned of."""
 
 import math
-import pickle
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +14,6 @@ from rx90_common.description.coupling import RX_WRIST
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionElement, load_friction
 from rx90_common.friction.compiled_elements import element_arrays
-from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
@@ -28,14 +26,6 @@ ELEMENTS = (*NAMES, "joint_5_6")
 
 def refusal(path: Path) -> str:
     return refusal_by(lambda file: load_friction(file, RX_WRIST.element_names(NAMES)), path)
-
-
-def test_each_sign_gets_its_own_torques(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
-    """A pair {positive, negative} reaches the element of each sign; a single value reaches both."""
-    path = edited_yaml(shipped_files.friction, ("elements", "joint_4", "tau_c"), {"positive": 6.0, "negative": 7.0})
-    element = load_friction(path, RX_WRIST.element_names(NAMES)).elements[3]
-    assert (element.tau_c.positive, element.tau_c.negative) == (6.0, 7.0)
-    assert (element.tau_s.positive, element.tau_s.negative) == (7.5, 7.5)
 
 
 def test_the_shipped_file_says_that_it_is_assumed_and_is_passive(shipped: Setup, shipped_files: RobotFiles) -> None:
@@ -131,10 +121,3 @@ def test_velocities_that_can_hardly_be_divided_by() -> None:
         assert least.steady_torque([-6.0, 0.0, 6.0]).tolist() == [-109.0, 0.0, 109.0]
         assert element_arrays([least])["inverse_omega_s"][0] == pytest.approx([1e9])
         assert math.isinf(least.passivity_limit(6.0))
-
-
-def test_elements_and_files_go_to_other_processes(shipped: Setup, shipped_files: RobotFiles) -> None:
-    """What a sweep sends to its workers comes back equal."""
-    file = FrictionFile.read(shipped_files.friction)
-    assert pickle.loads(pickle.dumps(file)) == file
-    assert pickle.loads(pickle.dumps(shipped)).friction == shipped.friction

@@ -28,7 +28,6 @@ def any_load(rng: np.random.Generator) -> LoadPart:
 def expected(element: FrictionElement, load: float, velocity: float) -> tuple[float, float]:
     """Return Coulomb and static torque by the equations of Bittencourt and Gunnarsson, and BAM's quadratic term."""
     part = element.load
-    assert part is not None
     lifting = load * velocity >= 0
     k, s, m = (
         (part.driving, part.stribeck_driving, part.quadratic_driving)
@@ -41,10 +40,7 @@ def expected(element: FrictionElement, load: float, velocity: float) -> tuple[fl
 
 
 def test_steady_sliding_under_constant_load() -> None:
-    """Lifting and lowering, both ways, from break-away on, the torque is that of the closed form (20 sets of values).
-
-    The load's share of the static torque fades with its own velocity, or with the element's where it has none.
-    """
+    """Lifting and lowering, both ways, from break-away on, the torque is that of the closed form."""
     rng = np.random.default_rng(5)
     for _ in range(-(-SETS // 7)):
         own = 10.0 ** rng.uniform(-2, 0, 7) * [1, 1, 0, 1, 1, 0, 1]
@@ -110,10 +106,7 @@ def any_ripple(rng: np.random.Generator) -> RipplePart:
 
 
 def test_sliding_torque_along_the_angles() -> None:
-    """At constant velocity the torque is (1 + series) times Coulomb and Stribeck, plus viscous (50 sets of values).
-
-    Beside a random walk, which is held here, it is (1 + series) (1 + walk) times as large.
-    """
+    """At constant velocity Coulomb and Stribeck friction are (1 + series) (1 + a held random walk) times as large."""
     rng = np.random.default_rng(5)
     for _ in range(8):
         elements = [
@@ -131,7 +124,6 @@ def test_sliding_torque_along_the_angles() -> None:
         torque, _ = along(seven, motion, 1e3)
         for i, element in enumerate(elements):
             part = element.ripple
-            assert part is not None
             series = np.zeros(len(angle))
             for (_, harmonic, amplitude, phases), turns in zip(part.series, (1.0, GEAR[i]), strict=True):
                 phase = phases or np.zeros(len(harmonic))

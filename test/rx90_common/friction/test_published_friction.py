@@ -50,8 +50,8 @@ PUMA = (
 R3_INNER = ((-105.0, 0.4, 0.13 / 160), (210.0, 0.5, 0.1 / 130), (60.0, 0.7, 0.2 / 130))
 # At the joints: Rv0 (Nm), Rv1 (Nm s/rad), peak.
 R3_OUTER = ((21.8, 9.8, 26.7 / 21.8), (30.1, 0.03, 39.6 / 30.1), (10.9, 3.92, 16.8 / 10.9))
-UR_NAMES = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
-UR_JOINTS = tuple(f"{name}_joint" for name in UR_NAMES)
+PARTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+UR_JOINTS = tuple(f"{name}_joint" for name in PARTS)
 # At the joints: Fv (Nm s/rad), Fc (Nm).
 UR10E = (
     (21.2560035178975, 12.5483919746119),
@@ -136,10 +136,7 @@ def bam_points(model: Sequence[float], *, driving: bool) -> Array:
 
 
 def fitted_driven(model: Sequence[float]) -> Array:
-    """Return driven, stribeck_driven and quadratic_driven that come nearest to BAM, relative to it, shape (3,).
-
-    What does not depend on load is that of driving, which the form has for both directions.
-    """
+    """Return driven, stribeck_driven and quadratic_driven that come nearest to BAM, relative to it, shape (3,)."""
     kc, kcs, km, _, kms, _, kmq, _, kv, w_s, alpha = model
     load, v, friction = bam_points(model, driving=False)
     s = np.exp(-((v / w_s) ** alpha))
@@ -154,14 +151,12 @@ def test_friction_by_load_is_bam_s(name: str) -> None:
     """Driving, friction without load and its growth solve BAM's own equations; driven, they are their least squares."""
     for element, model in zip(BY_LOAD, BAM_LOAD[name], strict=True):
         one = FrictionFile.read(config_path(f"friction/{name}.yaml")).elements[element]
-        load = one.load
-        assert load is not None
+        load: Any = one.load
         slow, fast = 1e-7 * one.omega_s, 40.0 * one.omega_s  # the Stribeck part whole, and gone
         for torque in (0.0, 5.0, 20.0):
             found = one.tau_s.positive + (load.driving + load.stribeck_driving) * torque
             found += load.quadratic_driving * torque**2
-            expected = bam_friction(model, torque, slow, driving=True)
-            assert found == pytest.approx(expected, rel=2 * SIX_DIGITS)
+            assert found == pytest.approx(bam_friction(model, torque, slow, driving=True), rel=2 * SIX_DIGITS)
             found = one.tau_c.positive + load.driving * torque + one.c2 * fast
             assert found == pytest.approx(bam_friction(model, torque, fast, driving=True), rel=2 * SIX_DIGITS)
         assert (load.driven, load.stribeck_driven, load.quadratic_driven) == pytest.approx(
@@ -243,7 +238,6 @@ def test_the_rig_takes_a_line_of_a_friction_file(tmp_path: Path) -> None:
 
 MEASURED = Path(__file__).parents[3] / "docs" / "explanation" / "measured.md"
 LIBRARY = sorted(config_path("friction/library").glob("*.yaml"))
-UR = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 OTHERS = {
     "tx40_gautier": {
         "joint_1": (7.14, 8.05), "joint_2": (8.26, 5.53), "joint_3": (6.34, 1.97), "joint_4": (2.48, 1.11),
@@ -258,12 +252,9 @@ OTHERS = {
     "tiago_figaroh": {
         f"arm_{k}_joint": pair for k, pair in enumerate(((1.81, 30.5), (5.21, 12.8), (3.06, 4.4), (2.14, 3.99)), 1)
     },
-    "ur10e_mamedov": {
-        f"{name}_joint": pair
-        for name, pair in zip(
-            UR, ((12.55, 21.26), (13.27, 20.22), (4.99, 10.38), (2.00, 3.58), (2.69, 2.49), (2.30, 3.03)), strict=True
-        )
-    },
+    "ur10e_mamedov": dict(zip(
+        UR_JOINTS, ((12.55, 21.26), (13.27, 20.22), (4.99, 10.38), (2.0, 3.58), (2.69, 2.49), (2.3, 3.03)), strict=True
+    )),
     "direct_drive_chavez": {"shoulder": (11.7, 3.05), "elbow": (1.83, 0.125)},
 }  # fmt: skip
 WITHIN = {("tx40_gautier", "joint_6"): 0.35} | {("panda_gaz", f"panda_joint{k}"): 0.25 for k in (1, 2, 3)}

@@ -2,15 +2,14 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from parted_joint import Record, Seven, any_element, begin
+from parted_joint import Record, Seven, any_element
 from scipy.stats import kstest, norm
 
+from rx90_common.base.arrays import Array
 from rx90_common.friction.parts.scatter import BOUND, ScatterPart, advance_scatter
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load
 
-Array = NDArray[np.float64]
 PERIOD = 2.5e-4
 
 
@@ -24,24 +23,20 @@ def walk(parts: Record, states: Record, every: int, factors: Array) -> None:
             factors[k, i] = states[0].scatter.factor[i]
 
 
-def factors_of(part: ScatterPart, seed: int, count: int, every: int = 1, again: bool = False) -> Array:
+def factors_of(part: ScatterPart, seed: int, count: int, every: int = 1) -> Array:
     """Return factors - 1 in deviations, shape (count, 7)."""
     element = any_element(np.random.default_rng(0), scatter=part)
     seven = Seven.of([element] * 7, PERIOD, seed)
     factors = np.empty((count, 7))
     walk(seven.parts, seven.states, every, factors)
-    if again:
-        begin(seven.parts, seven.states, np.zeros(7))
-        walk(seven.parts, seven.states, every, factors)
     return (factors - 1.0) / part.deviation
 
 
 def test_variance_and_autocorrelation() -> None:
     """The walk has mean 0, the variance of a normal variable within its bound, and forgets as exp(-lag / time)."""
     time, every = 0.05, 20
-    x = factors_of(
-        ScatterPart(deviation=0.1, correlation_time=time), 1, 60_000, every
-    )  # 300 s of seven walks: 6,000 correlation times each
+    # 300 s of seven walks: 6,000 correlation times each
+    x = factors_of(ScatterPart(deviation=0.1, correlation_time=time), 1, 60_000, every)
     lag = every * PERIOD
     independent = x.size * lag / (2.0 * time)  # of the mean
     assert abs(x.mean()) < 4.0 / np.sqrt(independent)
@@ -85,15 +80,12 @@ def splitmix(state: int) -> tuple[int, int]:
 
 
 def test_the_random_numbers_are_splitmix64() -> None:
-    """From the counter that an element begins with, its walk is that of SplitMix64's published numbers.
-
-    The first outputs for the state 1234567 are those of the reference implementation.
-    """
+    """From the counter that an element begins with, its walk is that of SplitMix64's published numbers."""
     state, outputs = 1234567, []
     for _ in range(3):
         state, word = splitmix(state)
         outputs.append(word)
-    assert outputs == [6457827717110365317, 3203168211198807973, 9817491932198370423]
+    assert outputs == [6457827717110365317, 3203168211198807973, 9817491932198370423]  # of the reference implementation
     part = ScatterPart(deviation=0.1, correlation_time=0.5)
     seven = Seven.of([any_element(np.random.default_rng(0), scatter=part)] * 7, PERIOD, 3)
     counter, x = int(seven.states["scatter"]["counter"][0, 2]), float(seven.states["scatter"]["walk"][0, 2])

@@ -7,7 +7,6 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import numba
 import pytest
@@ -47,11 +46,7 @@ def copy_sources(folder: Path) -> Path:
 
 
 def test_copies_of_the_same_sources_share_compiled_code(tmp_path: Path) -> None:
-    """A second clone compiles nothing, whatever its models; another processor or function that a kernel calls does.
-
-    That holds for kernels and for the middleware's callback, which is compiled at its first use, not by an import. A
-    program says once that it compiles, whatever else is in the cache; with its kernels there, nothing.
-    """
+    """A second clone compiles nothing, whatever its models; another processor or function that a kernel calls does."""
     kernels = "from rx90_common.kernels.elementary import {0}\nprint({0}(0.0))\n"
     exponential, other = kernels.format("exponential_of"), kernels.format("exponential_less_one_of")
     callback = "from rx90_common.exchange import arrivals\nprint('imported', file=sys.stderr)\narrivals._count()\n"
@@ -85,19 +80,14 @@ def test_what_kernels_take_from_elsewhere_is_in_the_name_of_the_cache() -> None:
                     assert place is None or module_file(place) in {None, *files}, (function, name)
 
 
-@pytest.fixture
-def one_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+def test_kernels_run_where_nothing_can_be_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a full disk a kernel is compiled and runs."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
 
     @kernel
     def one_more(x: float) -> float:
         return x + 1.0
 
-    return one_more
-
-
-def test_kernels_run_where_nothing_can_be_kept(tmp_path: Path, one_more: Any) -> None:
-    """On a full disk a kernel is compiled and runs."""
     with files_up_to(0):
         assert one_more(1.0) == 2.0
     assert not [file for file in (tmp_path / "cache").rglob("*") if file.is_file()]

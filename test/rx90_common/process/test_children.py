@@ -12,7 +12,7 @@ import pytest
 from processes import Processes, wait_until
 from warm_start import COLD
 
-from rx90_common.base.share import config_path
+from rx90_common.base.share import ROOT, config_path
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
 
 pytestmark = pytest.mark.slow
@@ -125,7 +125,6 @@ def test_more_interrupts_leave_no_child_behind(monkeypatch: pytest.MonkeyPatch) 
     assert stubborn.returncode == -signal.SIGTERM
 
 
-@pytest.mark.slow
 def test_children_run_no_module_of_the_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither in place of the package, nor of a library, nor of what Python itself begins with."""
     monkeypatch.setattr(subprocess, "Popen", COLD)  # a warm process has imported them
@@ -137,7 +136,6 @@ def test_children_run_no_module_of_the_working_folder(tmp_path: Path, monkeypatc
     assert (child.wait(), "hostile" in child.output) == (0, False), child.output
 
 
-ROOT = Path(__file__).parents[3]
 PROGRAM = """
 import json, os, sys, threading
 from pathlib import Path

@@ -51,18 +51,13 @@ class _Interrupted:
         signal.raise_signal(signal.SIGINT)
 
 
-def _destruct() -> None:
-    thing = _Interrupted()
-    del thing
-
-
 def test_an_interrupt_where_it_would_get_lost_comes_later() -> None:
     """Exceptions of destructors get lost; the interrupt is raised in what follows."""
     before = signal.getsignal(signal.SIGINT)
     install_deferred_sigint()
 
     def wait() -> None:
-        _destruct()
+        _Interrupted()
         deadline = time.monotonic() + 30.0
         while time.monotonic() < deadline:
             time.sleep(0.01)

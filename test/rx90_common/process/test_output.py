@@ -61,9 +61,7 @@ def test_what_has_begun_ends_in_order() -> None:
     with subprocess.Popen(
         [sys.executable, "-c", LONG], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
-        assert process.stdout is not None
         assert process.stdout.readline() == "0\n"
         process.stdout.close()
-        assert process.stderr is not None
         assert process.stderr.read() == "ended\n"
     assert process.returncode == 141

@@ -34,16 +34,6 @@ def test_at_rest_the_bristles_keep_every_bit(bristles: BristlesPart | None) -> N
 
 
 @each_kind
-def test_a_stuck_mass_does_not_creep(bristles: BristlesPart | None) -> None:
-    """Under a constant load below break-away a mass comes to rest and stays on the same bits."""
-    for load in (8.0, -20.0, 15.0):
-        motion = driven_mass(ELEMENT.replaced(bristles=bristles), 2.0, np.full(40_000, load), STEP)
-        assert np.unique(motion.position[-10_000:]).size == 1
-        assert np.ptp(motion.deflection[-10_000:]) < 1e-18
-        assert motion.friction[-1] == pytest.approx(load, rel=1e-12)
-
-
-@each_kind
 def test_torque_at_both_ends_of_the_hysteresis(bristles: BristlesPart | None) -> None:
     """A small deflection costs c0 times it, a long way at any velocity the torque of the steady curve."""
     torque, _ = led(ELEMENT.replaced(bristles=bristles), np.array([1e-6, 0.0]), 1e-3)

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from signed_element import ELEMENT
 
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.bristle import bristle_step
 from rx90_common.friction.compiled_elements import bristles_dtype, element_arrays, one_element
 from rx90_common.friction.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 from rx90_common.friction.maxwell_slip import MAX_BLOCKS, maxwell_slip_step, maxwell_slip_torque
@@ -48,16 +47,6 @@ def test_near_steady_sliding_a_step_is_exact() -> None:
         exact, _ = oracle.hold(z, velocity, step)
         found, _ = elasto_plastic_step(COMPILED, 0.7, z, velocity, step)
         assert found == pytest.approx(exact, rel=1e-12, abs=0.0)
-
-
-def test_beyond_the_steady_deflection_it_is_lugre() -> None:
-    """Where the sliding curve has fallen below the deflection, and in steady sliding, the step has LuGre's numbers."""
-    for z, velocity in ((3.1e-4, 0.3), (-4.4e-4, -0.2), (2.5e-4, 3.0)):
-        ours, lugre = (
-            elasto_plastic_step(COMPILED, 0.7, z, velocity, 2.5e-4),
-            bristle_step(COMPILED, z, velocity, 2.5e-4),
-        )
-        assert ours == pytest.approx(lugre, rel=1e-12, abs=0.0)
 
 
 @given(
