@@ -91,7 +91,6 @@ def test_what_happens_to_others_is_nothing() -> None:
     ],
 )
 def test_the_controller_says_why_it_does_not_end(line: str, begun: bool) -> None:
-    """At once, in the controller's words."""
     trajectory = sent()
     if begun:
         trajectory.take_acceptance(accepted(20.0))
