@@ -7,17 +7,16 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from lugre_oracle import LuGreOracle
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
 from benchmarks.hybrid_reference import negligible_element
+from rx90_common.base.arrays import Array
 from rx90_common.description.drives import MOTOR
 from rx90_common.friction import FrictionSet
 from rx90_common.rigid_torque import rigid_torque
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
-
-Array = NDArray[np.float64]
 
 WRIST = np.eye(6)
 WRIST[5, 4] = 1.0
