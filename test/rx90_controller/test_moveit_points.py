@@ -43,9 +43,7 @@ def generator_at(setup: Setup, position: Array) -> TrajectoryGenerator:
 
 def why(setup: Setup, points: TrajectoryPoints) -> str:
     """Return why the controller refuses a trajectory; nothing if it takes it."""
-    generator = TrajectoryGenerator(
-        setup.controller.limits(setup.robot), setup.rates.position_period, points.position[0]
-    )
+    generator = generator_at(setup, points.position[0])
     try:
         generator.accept(points, 0, None)
     except TrajectoryError as error:
@@ -142,9 +140,7 @@ def test_lines_of_moveit_are_taken_with_velocities_from_their_positions(setup: S
     assert all("or velocities_from_positions, where" in reason for reason in refused if reason)
     for plan in plans:
         sent = pilz_line(plan)
-        generator = TrajectoryGenerator(
-            setup.controller.limits(setup.robot), setup.rates.position_period, sent.position[0]
-        )
+        generator = generator_at(setup, sent.position[0])
         generator.join(sent.smoothed(), 0, None, anywhere=False)
         path = generator.setpoints(0, round(sent.times[-1] / setup.rates.position_period) + 2)
         oracle = CubicSpline(sent.times, sent.position, bc_type="clamped")
