@@ -80,22 +80,22 @@ def shipped_files() -> RobotFiles:
     return RobotFiles()
 
 
-@pytest.fixture(scope="session")
-def needs_action() -> None:
-    """Skip where control_msgs is not built, which a compiler is needed for; fail where packages are required."""
+def _need_messages(package: str) -> None:
+    """Skip where messages are not built, which a compiler is needed for; fail where packages are required."""
     from rx90_common.exchange.ros_start import missing_messages
 
-    if line := missing_messages("control_msgs"):
+    if line := missing_messages(package):
         give_up(line)
+
+
+@pytest.fixture(scope="session")
+def needs_action() -> None:
+    _need_messages("control_msgs")
 
 
 @pytest.fixture(scope="session")
 def needs_manager() -> None:
-    """Skip where controller_manager_msgs is not built; fail where packages are required."""
-    from rx90_common.exchange.ros_start import missing_messages
-
-    if line := missing_messages("controller_manager_msgs"):
-        give_up(line)
+    _need_messages("controller_manager_msgs")
 
 
 @pytest.fixture(scope="session")

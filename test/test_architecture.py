@@ -27,20 +27,8 @@ MODULES = {
 _ROS = re.compile(r"(rcl|rosidl|rosbag2|ament|launch|tf2|unique_identifier)\w*|\w+_(msgs|srvs|interfaces|ros|py)")
 _NAMED = rf"(?:{'|'.join(PACKAGES)})(?:\.\w+)+"
 _DOTTED = re.compile(rf"({_NAMED})(?::\w+)?")  # as `-m` and entry points take it
-_PLAIN = {"__future__", "abc", "collections", "copy", "dataclasses", "enum", "functools", "itertools", "math"}
-_NUMERICAL = {
-    *_PLAIN,
-    "bisect",
-    "operator",
-    "pathlib",
-    "types",
-    "typing",
-    "numpy",
-    "numba",
-    "pydantic",
-    "scipy",
-    *PACKAGES,
-}
+_PLAIN = {"__future__", "abc", "bisect", "collections", "copy", "dataclasses", "enum", "functools", "itertools", "math"}
+_NUMERICAL = {*_PLAIN, "operator", "pathlib", "types", "typing", "numpy", "numba", "pydantic", "scipy", *PACKAGES}
 _PLANNING = "rx90_controller.lines.postures"  # inverse kinematics of any arm: before the motion, by Pinocchio
 _KERNELS = {"plant_step", "bristle_step", "mass_and_bias", "position_loop", "velocity_loop"}
 

@@ -86,14 +86,7 @@ def workspace(prefix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     return prefix / "lib" / PACKAGE
 
 
-def test_colcon_takes_it_for_an_ament_python_package(tmp_path: Path) -> None:
-    """Colcon identifies the source tree as one package of type ros.ament_python."""
-    listed = colcon("list", "--base-paths", ROOT, folder=tmp_path)
-    assert listed.split() == [PACKAGE, str(ROOT), "(ros.ament_python)"]
-
-
 def test_package_xml_is_valid_for_ros_tools() -> None:
-    """package.xml passes ROS's own validation without a warning."""
     warnings: list[str] = []
     package = parse_package(str(ROOT / "package.xml"), warnings=warnings)
     package.validate(warnings=warnings)
@@ -114,7 +107,6 @@ def test_an_installed_jazzy_gets_every_package() -> None:
 
 
 def test_the_version_is_the_same_everywhere() -> None:
-    """package.xml, the installed distribution, the citation and the change log give one version."""
     version = ElementTree.parse(ROOT / "package.xml").findtext("version")
     newest = re.search(r"^(\d+\.\d+\.\d+)\b", (ROOT / "CHANGELOG.rst").read_text(), re.MULTILINE)
     assert newest is not None

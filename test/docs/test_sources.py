@@ -45,11 +45,19 @@ class Row(NamedTuple):
     test: str
 
 
+@cache
+def tokens(page: Path) -> list[Token]:
+    text = page.read_text(encoding="utf-8")
+    if page.suffix == ".ipynb":
+        cells = nbformat.reads(text, as_version=4).cells
+        text = "\n\n".join(cell.source for cell in cells if cell.cell_type == "markdown")
+    return MarkdownIt("commonmark").enable("table").parse(text)
+
+
 def tables() -> list[list[Row]]:
     found: list[list[Row]] = []
-    tokens = MarkdownIt("commonmark").enable("table").parse(PAGE.read_text(encoding="utf-8"))
     cells: list[str] = []
-    for before, token in itertools.pairwise(tokens):
+    for before, token in itertools.pairwise(tokens(PAGE)):
         if token.type == "tbody_open":
             found.append([])
         elif token.type == "inline" and before.type == "td_open":
@@ -69,11 +77,7 @@ def quoted_names(cell: str) -> list[str]:
 
 
 def named(place: str) -> Any:
-    """Return what a place names: a file, the value of a key in a file, or an object of a module.
-
-    Raises:
-        LookupError, OSError, ImportError, AttributeError: if it is not there.
-    """
+    """Return what a place names: a file, the value of a key in a file, or an object of a module."""
     file, _, key = place.partition(": ")
     if "/" in file:
         text = (ROOT / file).read_text(encoding="utf-8")
@@ -94,7 +98,6 @@ def named(place: str) -> Any:
 
 
 def is_test(place: str) -> bool:
-    """Return whether `file::function` names a test that is there."""
     file, _, function = place.partition("::")
     path = ROOT / file
     if not (path.is_file() and path.name.startswith("test_") and function.startswith("test_")):
@@ -202,15 +205,6 @@ PAGES = [
 NAMED = re.compile(r"(?<![\w/.])docs/[\w/]+\.(?:md|ipynb|png|svg|webp)")
 
 
-@cache
-def tokens(page: Path) -> list[Token]:
-    text = page.read_text(encoding="utf-8")
-    if page.suffix == ".ipynb":
-        cells = nbformat.reads(text, as_version=4).cells
-        text = "\n\n".join(cell.source for cell in cells if cell.cell_type == "markdown")
-    return MarkdownIt("commonmark").enable("table").parse(text)
-
-
 def links(page: Path) -> Iterator[str]:
     for token in tokens(page):
         for child in token.children or ():
@@ -245,7 +239,6 @@ def test_every_link_leads_somewhere() -> None:
 
 
 def test_how_to_pages_fit_on_two_screens() -> None:
-    """A how-to page has at most 1,000 words, and no table of more than 15 rows below its head."""
     for page in (ROOT / "docs/howto").glob("*.md"):
         text = page.read_text(encoding="utf-8")
         assert len(text.split()) <= 1000, page.name
@@ -254,7 +247,6 @@ def test_how_to_pages_fit_on_two_screens() -> None:
 
 
 def test_every_page_that_is_named_is_there() -> None:
-    """A page of docs/ that code, help, configuration or the changelog names by its path exists."""
     wrong = []
     for folder in ("", *PACKAGES, "benchmarks", "config", "docs", "firmware", "launch", "test", "tools"):
         files = ROOT.glob("*.*") if not folder else (p for root in ROOT.glob(folder) for p in root.rglob("*.*"))
@@ -266,7 +258,6 @@ def test_every_page_that_is_named_is_there() -> None:
 
 
 def test_tests_that_a_page_names_are_there() -> None:
-    """Where a page says `test_file.py::test_name`, one file of that name has that test."""
     wrong = []
     for page in PAGES:
         for file, name in re.findall(r"(test_\w+\.py)::(\w+)", page.read_text(encoding="utf-8")):
@@ -285,34 +276,3 @@ def test_walks_name_functions_that_are_there() -> None:
         text = (ROOT / file).read_text(encoding="utf-8")
         for name in re.findall(r"[\w.]*?(\w+)`", said):
             assert re.search(rf"(def|class) {name}\b|^{name}\b", text, re.MULTILINE), f"{file}: {name}"
-
-
-def test_figures_that_pages_state_in_their_text() -> None:
-    """A count of joint 2 through the converter, and the drift of joint 1, are what the pages' formulas give."""
-    pages = {
-        name: re.sub(r"\s+", " ", (ROOT / f"docs/explanation/{name}.md").read_text(encoding="utf-8"))
-        for name in ("closed_loop", "accuracy", "limits")
-    }
-    servo = named("config/robots/rx90b/controller.yaml: servo")
-    encoder = named("config/robots/rx90b/drives.yaml: encoder")
-    period = 1.0 / 4000
-    pole = math.exp(-2.0 * math.pi * encoder["velocity_bandwidth"] * period)
-    count = 2.0 * math.pi / encoder["counts_per_revolution"]
-    estimate = 0.0
-    velocity = 0.0
-    largest = 0.0
-    for _ in range(20):
-        predicted = estimate + period * velocity
-        error = count - predicted
-        estimate = predicted + (1.0 - pole**2) * error
-        velocity += (1.0 - pole) ** 2 / period * error
-        largest = max(largest, velocity)
-    joint = largest / named("config/robots/rx90b/drives.yaml: transmission.gear")[1]
-    torque = servo["inertia"][1] * servo["kv"][1] * joint
-    said = f"jump by {1e3 * joint:.2f} mrad/s for a count of joint 2, to which D would answer with {torque:.1f} Nm"
-    assert said in pages["closed_loop"]
-    reach = 320e-6
-    drift = reach * math.log((1.0 - (4.0 / 32.0) ** 2) / (1.0 - (12.0 / 32.0) ** 2))
-    for page in ("accuracy", "limits"):
-        assert f"{1e6 * drift:.0f} µrad" in pages[page]
-        assert f"{6.4e6 * drift:.0f} µrad/s at 6.4 Hz" in pages[page]

@@ -7,16 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 from joint_moves import HOME, LIMITS, PERIOD
-from numpy.typing import NDArray
 from servo_rig import Rig
 from unchecked import unchecked
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.rates import Rates
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.trajectory import TrajectoryGenerator
 from rx90_emulator.loop.setup import Setup
-
-Array = NDArray[np.float64]
 
 FREE = 1e9
 """A limit that is never met."""

@@ -10,18 +10,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from joint_moves import NAMES
 from unchecked import unchecked
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import SupervisionError
 from rx90_common.base.rates import Rates
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
-Array = NDArray[np.float64]
 MakeServo = Callable[..., Any]
-NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 COUPLING = np.eye(6)
 COUPLING[5, 4] = 1.0  # motor 6 turns with q5 + q6
 JUMP = np.array([0.1, -0.2, 0.3, 0.05, 0.0, -0.1])

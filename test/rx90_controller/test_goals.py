@@ -28,7 +28,6 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
 
 @pytest.mark.parametrize(("changed", "words"), REFUSED.values(), ids=REFUSED)
 def test_a_bad_goal_is_refused(changed: dict[str, Any], words: str) -> None:
-    """Each fault of a goal gives one line with the value and what is accepted."""
     with pytest.raises(TrajectoryError) as caught:
         checked(message(**changed))
     assert words in str(caught.value)

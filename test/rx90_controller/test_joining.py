@@ -12,7 +12,6 @@ from scipy.interpolate import BPoly
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
-from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, JoinedAhead, TrajectoryRequest
 
 MOST = np.array([18.0, 12.0, 12.0, 40.0, 40.0, 60.0])
 LIMITS = JointLimits(NAMES, np.full(6, -3.0), np.full(6, 3.0), np.full(6, 4.0), MOST, 1e-3)
@@ -27,7 +26,6 @@ def generator() -> TrajectoryGenerator:
 
 
 def hermite(times: Sequence[float], rows: Sequence[Sequence[Array]]) -> BPoly:
-    """Return the piecewise polynomial with positions and derivatives at times, by SciPy."""
     return BPoly.from_derivatives(times, np.asarray(rows))
 
 
@@ -163,17 +161,3 @@ def test_accelerations_count_between_set_points_too(generator: TrajectoryGenerat
     said = str(caught.value)
     assert said.startswith("point 1: joint_4 gets an acceleration of 6666.67 rad/s^2 on the way there, between two")
     assert "at 0.1002 s; accepted: [-40, 40], or velocities_from_positions" in said
-
-
-# At the second attempt the lead is four times 5 ms, and a little for one point and one second.
-@pytest.mark.parametrize(("start", "edge"), [(None, 24), (505, 5), (500, 0)])
-def test_what_would_come_too_late_is_not_handed_over(
-    generator: TrajectoryGenerator, start: int | None, edge: int
-) -> None:
-    """On the way, one tick behind the lead, or behind a start that has been stamped: to be joined anew."""
-    generator.setpoints(0, 500)
-    back, wanted = points([1.0], [HOME], [ZERO]), GoalTolerances.of_parameters(NAMES)
-    ahead = JoinedAhead(TrajectoryRequest(None, back, start, wanted, GoalOptions(), is_goal=True), generator, 500, 1)
-    ahead.compute()
-    assert [ahead.fits(500 + late) for late in (0, edge, edge + 1)] == [True, True, False]
-    assert ahead.adopt(500 + edge).begin == 500 + edge

@@ -22,15 +22,9 @@ from rx90_controller.lines.task import LineTask, TrapezoidalProfile, load_task
 from rx90_emulator.loop.setup import Setup
 
 TURNING = LineTask(
-    start=(0.5, -0.2, 0.4),
-    end=(0.55, 0.15, 0.3),
-    speed=0.25,
-    acceleration=3.0,
-    start_rpy=(0.0, 2.7, 0.1),
-    end_rpy=(0.6, 2.2, -0.4),
-    rest_before=0.1234567,
-    rest_after=0.05,
-)
+    start=(0.5, -0.2, 0.4), end=(0.55, 0.15, 0.3), start_rpy=(0.0, 2.7, 0.1), end_rpy=(0.6, 2.2, -0.4),
+    speed=0.25, acceleration=3.0, rest_before=0.1234567, rest_after=0.05,
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -38,13 +32,7 @@ def task() -> LineTask:
     return load_task(config_path("robots/rx90b/task.yaml"))
 
 
-@pytest.fixture(scope="module")
-def plan(shipped: Setup, task: LineTask) -> LinePlan:
-    return plan_line(shipped.robot, task)
-
-
 def _spline(plan: LinePlan) -> BPoly:
-    """Return the quintic interpolation of the knots, made by SciPy."""
     values = np.stack([plan.position, plan.velocity, plan.acceleration], axis=1)
     return BPoly.from_derivatives(plan.times, list(values))
 
@@ -73,8 +61,9 @@ def test_interpolated_tip_is_on_the_line_at_the_right_time(shipped: Setup, task:
     assert plan.tip_error <= 1e-7
 
 
-def test_rest_is_exactly_still(plan: LinePlan) -> None:
+def test_rest_is_exactly_still(shipped: Setup, task: LineTask) -> None:
     """Velocities and accelerations are exactly zero at rest, and those of joint 4 all the way."""
+    plan = plan_line(shipped.robot, task)
     rest = (plan.times < 1.0) | (plan.times > 5.1)
     assert rest.sum() == 4
     assert not plan.velocity[rest].any()
@@ -129,7 +118,6 @@ def test_short_lines_and_short_rests(shipped: Setup, task: LineTask, length: flo
 
 @pytest.mark.parametrize("acceleration", [1e9, 0.5])
 def test_approach_uses_its_limits_and_no_more(shipped: Setup, acceleration: float) -> None:
-    """A quintic of that duration reaches but never passes the allowed speed or acceleration."""
     robot = shipped.robot
     start, end = np.zeros(6), np.array([0.5, -0.8, 1.2, 0.0, 0.3, -2.0])
     duration = Approach(0.25, acceleration).duration(robot, start, end)
@@ -146,7 +134,6 @@ def test_approach_uses_its_limits_and_no_more(shipped: Setup, acceleration: floa
 
 @given(st.floats(1e-4, 3.0), st.floats(1e-3, 2.0), st.floats(1e-2, 20.0), st.floats(0.0, 1.0))
 def test_speed_by_distance_is_speed_by_time(length: float, speed: float, acceleration: float, share: float) -> None:
-    """The speed asked for by distance is the one the profile has when it is there."""
     profile = TrapezoidalProfile(length, speed, acceleration)
     motion = profile.sample(np.array([share * profile.duration]))
     # Near rest the distance carries its square root's rounding into the speed.
@@ -154,7 +141,6 @@ def test_speed_by_distance_is_speed_by_time(length: float, speed: float, acceler
     assert profile.speed_at(motion.distance)[0] == pytest.approx(motion.speed[0], abs=tolerance)
 
 
-REFERENCE = "robots/rx90b/task.yaml"
 DOWN = (0.0, np.pi, 0.0)
 # The beam along y; the wrist is so far behind the spot.
 SIDEWAYS, WRIST = (-np.pi / 2, 0.0, 0.0), 0.285
@@ -177,20 +163,16 @@ def _refusal(shipped: Setup, line: LineTask) -> tuple[str, float]:
     return message, float(found[1])
 
 
-def test_out_of_reach_names_where_the_arm_ends(shipped: Setup) -> None:
-    """Straight outwards with the tool down, the wrist leaves its sphere of 0.9 m where Pythagoras has it."""
-    message, distance = _refusal(shipped, _line((0.6, 0.0, 0.2), (1.6, 0.0, 0.2), singularity_margin=1e-3))
+@pytest.mark.parametrize(
+    ("margin", "radius", "said"),
+    [(1e-3, 0.9, "out of reach"), (0.3, 2 * 0.45 * np.cos(np.arcsin(0.3) / 2), "elbow singularity")],
+)
+def test_a_line_outwards_ends_where_pythagoras_has_it(shipped: Setup, margin: float, radius: float, said: str) -> None:
+    """The wrist leaves the sphere of its reach, or that on which the elbow angle's sine falls below the margin."""
+    message, distance = _refusal(shipped, _line((0.6, 0.0, 0.2), (1.6, 0.0, 0.2), singularity_margin=margin))
     # The wrist is 0.285 m above the spot, axis 2 at 0.42 m.
-    assert distance == pytest.approx(np.sqrt(0.9**2 - (0.485 - 0.42) ** 2) - 0.6, abs=1.1e-3)
-    assert "out of reach" in message
-
-
-def test_elbow_singularity_is_met_before_the_end_of_reach(shipped: Setup) -> None:
-    """With a margin of 0.3 the same outward line is refused where the elbow angle's sine falls below 0.3."""
-    message, distance = _refusal(shipped, _line((0.6, 0.0, 0.2), (1.6, 0.0, 0.2), singularity_margin=0.3))
-    stretched = 2 * 0.45 * np.cos(np.arcsin(0.3) / 2)
-    assert distance == pytest.approx(np.sqrt(stretched**2 - 0.065**2) - 0.6, abs=1.1e-3)
-    assert "elbow singularity" in message
+    assert distance == pytest.approx(np.sqrt(radius**2 - (0.485 - 0.42) ** 2) - 0.6, abs=1.1e-3)
+    assert said in message
 
 
 def test_wrist_singularity_in_the_middle_of_a_line(shipped: Setup) -> None:
@@ -204,9 +186,8 @@ def test_wrist_singularity_in_the_middle_of_a_line(shipped: Setup) -> None:
 def test_shoulder_singularity_above_axis_1(shipped: Setup) -> None:
     """A wrist that would pass 20 mm from axis 1 is refused at the shoulder, 45 mm before the axis."""
     line = _line((0.3, WRIST + 0.02, 1.0), (-0.3, WRIST + 0.02, 1.0), start_rpy=SIDEWAYS, end_rpy=SIDEWAYS)
-    robot = replace(shipped.robot, lower=np.full(6, -7.0), upper=np.full(6, 7.0))
     with pytest.raises(LineError, match="shoulder singularity") as refusal:
-        plan_line(robot, line)
+        plan_line(_wide(shipped.robot), line)
     at = float(re.search(r"at (\d+\.\d+) m", str(refusal.value))[1])  # type: ignore[index]
     assert 0.3 - at == pytest.approx(np.sqrt(0.045**2 - 0.02**2), abs=1.1e-3)
 
@@ -215,13 +196,8 @@ def test_a_thin_margin_does_not_let_a_line_through_a_singularity(shipped: Setup)
     """A tool that turns through the straight wrist between two examined points is caught by the jump."""
     before, after = (forward(shipped.robot.chain, np.array([0.0, 0.4, 1.0, 0.0, q5, 0.0])) for q5 in (0.6, -0.57))
     turn = [Rotation.from_matrix(pose.rotation).as_euler("xyz") for pose in (before, after)]
-    line = _line(
-        tuple(before.position),
-        tuple(after.position),
-        start_rpy=tuple(turn[0]),
-        end_rpy=tuple(turn[1]),
-        singularity_margin=1e-3,
-    )
+    turns = {"start_rpy": tuple(turn[0]), "end_rpy": tuple(turn[1])}
+    line = _line(tuple(before.position), tuple(after.position), **turns, singularity_margin=1e-3)
     message, distance = _refusal(shipped, line)
     assert re.search(r"joint_4 jumps by -?3\.14\d rad to another branch", message), message
     assert 0.0 < distance < line.length
@@ -257,7 +233,6 @@ def test_joint_speed_names_joint_and_a_speed_that_would_do(shipped: Setup) -> No
         ({"speed": 1e-9}, r"takes 4e\+08 s at speed 1e-09 m/s .*; accepted: up to 3600 s"),
     ],
 )
-def test_values_that_make_no_line_are_refused(change: dict[str, Any], expected: str) -> None:
-    """A task that is not a line is refused when it is made, by the name and value of what is wrong."""
+def test_values_that_make_no_line_are_refused(task: LineTask, change: dict[str, Any], expected: str) -> None:
     with pytest.raises(LineError, match=expected):
-        replace(load_task(config_path(REFERENCE)), **change)
+        replace(task, **change)

@@ -1,7 +1,6 @@
 """Straight lines of arms without a closed form: by Pinocchio's kinematics, SciPy's integrator and least squares."""
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,12 +8,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from grip_arm import JOINTS, POSTURE, write_urdf
-from numpy.typing import NDArray
 from pinocchio_chain import tip_pose
 from scipy.integrate import solve_ivp
 from scipy.interpolate import BPoly
 from scipy.optimize import least_squares
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import LineError
 from rx90_common.base.share import config_path
 from rx90_common.description.inverse import SphericalWristArm
@@ -24,7 +23,6 @@ from rx90_controller.lines.plan import LinePlan, describe_line, plan_line
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.loop.setup import Setup
 
-Array = NDArray[np.float64]
 WAY = np.array([0.12, 0.25, -0.1])  # m
 TURN = pin.rpy.rpyToMatrix(0.2, -0.3, 0.4)
 
@@ -76,7 +74,6 @@ def seven(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
 
 @pytest.fixture(scope="module")
 def plan(seven: RobotModel) -> LinePlan:
-    """Return its line, on which the tool turns."""
     return plan_line(seven, _line(seven, turn=TURN))
 
 
@@ -205,22 +202,6 @@ def test_a_line_into_the_singularity_or_beyond_the_reach_is_refused(seven: Robot
     ],
 )
 def test_what_no_line_is_for_is_refused(tmp_path: Path, joints: int, change: dict[str, object], said: str) -> None:
-    """Arms of other numbers of joints and postures of other sizes are refused by name."""
     robot = robot_of_urdf(write_urdf(tmp_path, joints), JOINTS[:joints])
     with pytest.raises(LineError, match=re.escape(said)):
         plan_line(robot, replace(_line(robot), **change))  # type: ignore[arg-type]
-
-
-@pytest.fixture
-def aside(shipped: Setup, tmp_path: Path) -> Callable[[], Path]:
-    """Return a function that writes the RX90B's description with its last axis moved aside: no closed form."""
-
-    def write() -> Path:
-        text = shipped.files.urdf.read_text(encoding="utf-8")
-        old = '<origin xyz="0 0 0.085"/>\n    <parent link="link_5"/>'
-        assert text.count(old) == 1
-        file = tmp_path / "aside.urdf"
-        file.write_text(text.replace(old, old.replace("0 0 0.085", "0.03 0.01 0.085")), encoding="utf-8")
-        return file
-
-    return write

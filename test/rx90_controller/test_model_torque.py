@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from full_friction import TEMPERATURE
-from numpy.typing import NDArray
 from own_model import by_model, with_friction
 from scipy.integrate import solve_ivp
 
+from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.description.drives import COLD
 from rx90_common.friction import FrictionElement
@@ -28,7 +28,6 @@ from rx90_emulator.loop.closed_loop import run_ticks
 from rx90_emulator.loop.result import empty_series
 from rx90_emulator.loop.setup import Setup
 
-Array = NDArray[np.float64]
 INPUTS = RX_WRIST.element_matrix
 
 
@@ -40,12 +39,20 @@ def lead(setup: Setup) -> float:
     return 0.5 * rates.position_period + rates.period * float(np.arange(200) @ shares)
 
 
+def without_acceleration(setup: Setup) -> Setup:
+    feed_forward = setup.controller.feed_forward.replaced(acceleration=False)
+    return dataclasses.replace(setup, controller=setup.controller.replaced(feed_forward=feed_forward))
+
+
+def friction_alone(setup: Setup) -> Setup:
+    """Return a setup whose controller feeds forward by its model of friction, and by no other part of the model."""
+    return without_acceleration(by_model(setup, inverse_dynamics=False))
+
+
 def fed_forward(setup: Setup, setpoints: Array) -> Array:
     """Return what a controller that begins at rest feeds forward at the joints, Nm, shape (n, 6)."""
-    law, state = (
-        setup.controller.record(setup.robot, setup.drives, setup.rates),
-        np.zeros(1, law_state_dtype(RX_WRIST.size)),
-    )
+    law = setup.controller.record(setup.robot, setup.drives, setup.rates)
+    state = np.zeros(1, law_state_dtype(RX_WRIST.size))
     law_reset(state)
     torque = np.empty((len(setpoints), 6))
     for k, setpoint in enumerate(setpoints):
@@ -71,12 +78,7 @@ def test_the_inverse_dynamics_are_those_of_the_model(request: pytest.FixtureRequ
     q, v = rng.uniform(low, high, (50, 6)), rng.uniform(-1.0, 1.0, (50, 6)) * setup.robot.max_velocity
     a = rng.uniform(-20.0, 20.0, (50, 6))
     got = fed_forward(by_model(setup, friction_model=False), np.stack([q, v, a], axis=1))
-    own = setup.controller
-    without = own.feed_forward.replaced(acceleration=False)
-    friction = fed_forward(
-        dataclasses.replace(setup, controller=own.replaced(feed_forward=without)),
-        np.stack([q, v, a], axis=1),
-    )
+    friction = fed_forward(without_acceleration(setup), np.stack([q, v, a], axis=1))
     drives, model = setup.drives, setup.robot.model
     at = (q + late * (v + 0.5 * late * a), v + late * a, a)
     want = rigid_torque(model, drives.rotor_matrix, drives.spring_torque, *at)
@@ -84,13 +86,8 @@ def test_the_inverse_dynamics_are_those_of_the_model(request: pytest.FixtureRequ
 
 
 def test_the_bristles_of_the_model_are_the_plant_s(shipped: Setup) -> None:
-    """Through reversals: the torque of the plant's own law at the velocities of the time at which it acts in the mean.
-
-    They are held for the same periods.
-    """
-    setup = by_model(shipped, inverse_dynamics=False)
-    plain = setup.controller.feed_forward.replaced(acceleration=False)
-    setup = dataclasses.replace(setup, controller=setup.controller.replaced(feed_forward=plain))
+    """Through reversals: the torque of the plant's own law at the velocities of when it acts in the mean."""
+    setup = friction_alone(shipped)
     period = shipped.rates.position_period
     ticks, turn = np.arange(600), 2.0 * math.pi / period / (100.0 + 40.0 * np.arange(6))
     angle = turn * period * ticks[:, None]
@@ -188,10 +185,7 @@ WARM = TEMPERATURE.replaced(start=22.0, ambient=21.0, capacity=1e9, resistance=0
 def parted(setup: Setup, path: Path, **parts: Any) -> tuple[CS7B, tuple[FrictionElement, ...]]:
     """Return a controller whose friction model alone is on, each element with these parts, and the elements."""
     elements = tuple(element.replaced(**parts) for element in setup.friction.elements)
-    by_friction = by_model(setup, inverse_dynamics=False)
-    plain = by_friction.controller.feed_forward.replaced(acceleration=False)
-    alone = dataclasses.replace(by_friction, controller=by_friction.controller.replaced(feed_forward=plain))
-    return with_friction(alone, elements, path / "friction.yaml").cs7b(), elements
+    return with_friction(friction_alone(setup), elements, path / "friction.yaml").cs7b(), elements
 
 
 def moved(controller: CS7B, ticks: int, velocity: Array, start: Array = HERE) -> Array:
@@ -245,32 +239,25 @@ def temperatures(controller: CS7B) -> Array:
 def test_the_model_warms_by_its_friction_and_its_motors(shipped: Setup, tmp_path: Path) -> None:
     """Its temperatures are those of SciPy's solution with the friction and the motors' torques of a steady motion."""
     part = WARM.replaced(capacity=2.0, resistance=3.0, static_slope=0.0, speed_slope=0.0)
-    winding = COLD.replaced(
-        resistance=np.full(6, 1.3),
-        thermal_resistance=np.full(6, 1.0),
-        heat_capacity=np.full(6, 50.0),
-        derating=100.0,
-        limit=130.0,
-    )
-    setup = shipped
-    controller, elements = parted(setup, tmp_path, temperature=part)
-    assert setup.controller.model is not None
-    model = ArmModel(setup.controller.model.constants.arm, elements, setup.drives.replaced(winding=winding))
-    model.fill(controller.law["model"][0], setup.rates.position_period)
-    ticks, drives = 4000, setup.drives
+    six = {"resistance": np.full(6, 1.3), "thermal_resistance": np.ones(6), "heat_capacity": np.full(6, 50.0)}
+    winding = COLD.replaced(**six, derating=100.0, limit=130.0)
+    controller, elements = parted(shipped, tmp_path, temperature=part)
+    assert shipped.controller.model is not None
+    model = ArmModel(shipped.controller.model.constants.arm, elements, shipped.drives.replaced(winding=winding))
+    model.fill(controller.law["model"][0], shipped.rates.position_period)
+    ticks, drives = 4000, shipped.drives
     velocity = 6.0 * VELOCITY
     moved(controller, ticks, velocity, HERE - 0.5 * velocity)
     got = temperatures(controller)
-    period, speed = setup.rates.position_period, INPUTS @ velocity
+    period, speed = shipped.rates.position_period, INPUTS @ velocity
     viscous = np.array([element.c2 for element in elements]) * speed
     dry = np.array([element.sliding_torque(v) for element, v in zip(elements, speed, strict=True)]) * np.sign(speed)
 
     def rates(t: float, warm: Array) -> Array:
         torque = dry + viscous * (0.3 + 0.7 * np.exp(-(warm - part.reference) / part.viscous_scale))
         there = HERE + (t - 0.5) * velocity
-        joints = rigid_torque(
-            setup.robot.model, drives.rotor_matrix, drives.spring_torque, there[None], velocity[None], np.zeros((1, 6))
-        )[0]
+        states = (there[None], velocity[None], np.zeros((1, 6)))
+        joints = rigid_torque(shipped.robot.model, drives.rotor_matrix, drives.spring_torque, *states)[0]
         motor = np.linalg.solve(RX_WRIST.turns.T, joints + INPUTS.T @ torque) / drives.gear
         heat = 1.3 * (motor / drives.torque_constant) ** 2
         inflow = torque * speed + np.array([*heat[:5], 0.0, heat[5]])
@@ -334,14 +321,8 @@ def test_at_rest_parts_move_nothing(shipped: Setup, tmp_path: Path) -> None:
 
 def test_scatter_counts_with_its_mean(shipped: Setup, tmp_path: Path) -> None:
     """A model of friction that scatters feeds forward the bits of one that does not."""
-    files = tmp_path / "scatter", tmp_path / "none"
-    for each in files:
-        each.mkdir()
-    scattered, _ = parted(
-        shipped,
-        files[0],
-        scatter=ScatterPart(deviation=0.05, correlation_time=0.1),
-        load=LoadPart(driving=0.1, driven=0.1),
-    )
-    plain, _ = parted(shipped, files[1], load=LoadPart(driving=0.1, driven=0.1))
+    load, scatter = LoadPart(driving=0.1, driven=0.1), ScatterPart(deviation=0.05, correlation_time=0.1)
+    (tmp_path / "plain").mkdir()  # of its own: constants of a file are kept
+    scattered, _ = parted(shipped, tmp_path, scatter=scatter, load=load)
+    plain, _ = parted(shipped, tmp_path / "plain", load=load)
     assert np.array_equal(moved(scattered, 300, VELOCITY), moved(plain, 300, VELOCITY))

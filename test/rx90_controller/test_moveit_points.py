@@ -37,14 +37,13 @@ def joint_limits(setup: Setup) -> tuple[Array, Array]:
     return velocity, acceleration
 
 
-def period(setup: Setup) -> float:
-    """Return that of the position loop, s."""
-    return setup.rates.period * setup.rates.ratio
+def generator_at(setup: Setup, position: Array) -> TrajectoryGenerator:
+    return TrajectoryGenerator(setup.controller.limits(setup.robot), setup.rates.position_period, position)
 
 
 def why(setup: Setup, points: TrajectoryPoints) -> str:
     """Return why the controller refuses a trajectory; nothing if it takes it."""
-    generator = TrajectoryGenerator(setup.controller.limits(setup.robot), period(setup), points.position[0])
+    generator = generator_at(setup, points.position[0])
     try:
         generator.accept(points, 0, None)
     except TrajectoryError as error:
@@ -92,27 +91,6 @@ def test_the_controller_takes_point_to_point_motions_at_moveit_s_limits(setup: S
     assert any(why(setup, points) for points in own)
 
 
-@pytest.mark.parametrize("late", [0.0, 0.5e-3])
-def test_ends_that_move_by_rounding_are_taken_as_they_are_sent(setup: Setup, late: float) -> None:
-    """As time-optimal plans end: at 1e-15 rad/s, or with a point that repeats the one before; the start is near by."""
-    limits, names = setup.controller.limits(setup.robot), setup.robot.joint_names
-    for k, points in enumerate(moves(*joint_limits(setup))):
-        times, tables = points.times, [points.position, points.velocity.copy(), points.acceleration]
-        tables[1][-1] = 1e-15
-        if late:
-            times, tables = np.append(times, times[-1] + late), [np.vstack((table, table[-1])) for table in tables]
-            tables[0][-1] += 5e-5
-        if k % 2:
-            times = np.round(times * 1e9) * 1e-9
-        sent = TrajectoryPoints.create(names, names, times.tolist(), *tables)
-        here = TrajectoryGenerator(limits, period(setup), points.position[0] + 1e-6)
-        here.accept(sent, 0, None)
-        end = round(times[-1] / period(setup)) + 2
-        last = here.setpoints(end, end + 1)[0]
-        np.testing.assert_allclose(last[0], tables[0][-1], atol=1e-9)
-        assert not last[1:].any()
-
-
 def pilz_line(plan: LinePlan) -> TrajectoryPoints:
     """Return a line as Pilz' LIN sends it: backward differences as velocities, and theirs as accelerations."""
     begin, end = plan.motion
@@ -132,10 +110,8 @@ def sent_by_pilz(line: TrajectoryPoints, velocity: Array, acceleration: Array) -
     return bool((np.abs(mean) <= velocity).all() and (np.abs(change) <= acceleration).all())
 
 
-@pytest.fixture(scope="module", params=["shipped", "tx40"])
-def lines(request: pytest.FixtureRequest) -> tuple[Setup, list[LinePlan]]:
+def lines(setup: Setup) -> list[LinePlan]:
     """Return lines at random at MoveIt's Cartesian limits, or slower."""
-    setup: Setup = request.getfixturevalue(request.param)
     text = Path(config_path("moveit/pilz_cartesian_limits.yaml")).read_text(encoding="utf-8")
     limits = yaml.safe_load(text)["cartesian_limits"]
     task, generator, plans = load_task(setup.files.required("task")), np.random.default_rng(7), []
@@ -153,22 +129,22 @@ def lines(request: pytest.FixtureRequest) -> tuple[Setup, list[LinePlan]]:
         with suppress(LineError):
             plan = plan_line(setup.robot, line)
             plans += [plan] * sent_by_pilz(pilz_line(plan), *joint_limits(setup))
-    return setup, plans
+    return plans
 
 
-def test_lines_of_moveit_are_taken_with_velocities_from_their_positions(lines: tuple[Setup, list[LinePlan]]) -> None:
+def test_lines_of_moveit_are_taken_with_velocities_from_their_positions(setup: Setup) -> None:
     """LIN carries velocities that lag: many lines are refused with them, naming the parameter, and none without."""
-    setup, plans = lines
+    plans = lines(setup)
     refused = [why(setup, pilz_line(plan)) for plan in plans]
     assert sum(map(bool, refused)) > 1
     assert all("or velocities_from_positions, where" in reason for reason in refused if reason)
     for plan in plans:
         sent = pilz_line(plan)
-        generator = TrajectoryGenerator(setup.controller.limits(setup.robot), period(setup), sent.position[0])
+        generator = generator_at(setup, sent.position[0])
         generator.join(sent.smoothed(), 0, None, anywhere=False)
-        path = generator.setpoints(0, round(sent.times[-1] / period(setup)) + 2)
+        path = generator.setpoints(0, round(sent.times[-1] / setup.rates.position_period) + 2)
         oracle = CubicSpline(sent.times, sent.position, bc_type="clamped")
-        ticks = np.arange(len(path) - 2) * period(setup)
+        ticks = np.arange(len(path) - 2) * setup.rates.position_period
         assert np.abs(path[:-2, 0] - oracle(ticks)).max() < 1e-12
         assert np.abs(path[-1, 0] - sent.position[-1]).max() == 0.0
         assert not path[[0, -1], 1].any()
@@ -177,7 +153,6 @@ def test_lines_of_moveit_are_taken_with_velocities_from_their_positions(lines: t
 
 
 def off_the_line(setup: Setup, plan: LinePlan, joints: Array) -> float:
-    """Return how far the tool is off a line at most, m."""
     start, end = np.array(plan.task.start), np.array(plan.task.end)
     along = (end - start) / np.linalg.norm(end - start)
     away = forward(setup.robot.chain, joints).position - start

@@ -18,17 +18,19 @@ TICKS = 8  # that pass while a stamped trajectory is joined
 
 
 class Ways:
-    """Notes, of each trajectory that enters a generator, whether ticks could run meanwhile; and lets some run.
+    """Notes, of each trajectory that enters a generator, whether the lock of the ticks was free: `beside`.
 
-    Attributes:
-        beside: whether the lock of the ticks was free.
-        meanwhile: called beside the ticks, with the number of such calls before; by default ticks are run.
+    Beside the ticks `meanwhile` is called, with the number of such calls before; by default it runs ticks.
     """
 
     def __init__(self, rig: Rig) -> None:
         self.rig, self.beside, self.tick = rig, [], 0
         self.calls = 0
         self.meanwhile: Callable[[int], None] = lambda _: self.run(3)
+
+    def begin(self, meanwhile: Callable[[int], None]) -> None:
+        self.beside.clear()
+        self.calls, self.meanwhile = 0, meanwhile
 
     def run(self, count: int) -> None:
         """Run ticks of the position loop; the motors keep to the set-points."""
@@ -111,15 +113,13 @@ def test_a_long_stamped_trajectory_gives_the_same_bits_whenever_it_comes(ways: W
     for given, start in ((first, 100), (last, 1000)):
         alone.accept(points_from_message(rig.names, given), start, start)
     expected = alone.setpoints(1000, 21_000)
-    ways.beside.clear()
     for early in (120, 400, 950, 1000 - TICKS):
         rig.loop.hold(rig.states(0))
         ways.tick = 0
         ways.meanwhile = lambda _: None
         rig.loop.receive(first)
         ways.run(early)
-        ways.meanwhile = lambda _: ways.run(TICKS)
-        ways.beside.clear()
+        ways.begin(lambda _: ways.run(TICKS))
         rig.loop.receive(last)
         assert ways.beside == [True]
         ways.run(1000 - early - TICKS)
@@ -133,24 +133,18 @@ def test_what_the_time_was_too_short_for_is_joined_again_beside_the_ticks(ways: 
     rig.loop.receive(message(rig, 2, 2.0))
     ways.run(100)
     lead = round((5e-3 + 30 * 1e-4 + 1.5 * 5e-4) * 1e3)
-    ways.beside.clear()
-    ways.meanwhile = lambda call: ways.run(lead + 5 if call == 0 else 3)
+    ways.begin(lambda call: ways.run(lead + 5 if call == 0 else 3))
     now = rig.cs7b.position_tick
-    ways.calls = 0
     rig.loop.receive(message(rig, 30, 1.5))
     assert ways.beside == [True, True]
     begin = now + lead + 5 + 4 * lead
     assert rig.around.lines[-1].endswith(f"1.500 s from {begin * 1e-3:.3f} s")
 
-    ways.beside.clear()
-    ways.meanwhile = lambda call: rig.loop.skip(1) if call == 0 else None
-    ways.calls = 0
+    ways.begin(lambda call: rig.loop.skip(1) if call == 0 else None)
     rig.loop.receive(message(rig, 30, 1.5))
     assert ways.beside == [True, True]
 
-    ways.beside.clear()
-    ways.meanwhile = lambda call: ways.run(20) if call == 0 else None
-    ways.calls = 0
+    ways.begin(lambda call: ways.run(20) if call == 0 else None)
     start = (rig.cs7b.position_tick + 10) * 1e-3
     rig.loop.receive(message(rig, 30, 1.5, start=start))
     assert ways.beside == [True, True]

@@ -12,12 +12,12 @@ import pytest
 from grip_arm import JOINTS, POSTURE, write_urdf
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from pinocchio_chain import tip_pose
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import LineError
 from rx90_common.description.joint_model import robot_of_urdf
 from rx90_common.description.robot import RobotModel
@@ -30,7 +30,6 @@ from rx90_emulator.loop.line import followed_accuracy, path_accuracy, plan_path,
 from rx90_emulator.loop.path_file import load_path, load_trajectory
 from rx90_emulator.loop.setup import Setup
 
-Array = NDArray[np.float64]
 CENTER, RADIUS = np.array([0.6, 0.0, 0.2]), 0.05
 POINTS = ((0.56, 0.01, 0.2), (0.54, 0.05, 0.21), (0.56, 0.1, 0.22), (0.6, 0.1, 0.2))
 
@@ -171,7 +170,6 @@ def test_profiles_keep_their_limits(
 
 
 def test_one_segment_without_a_limited_jerk_is_the_trapezoid_of_a_line() -> None:
-    """Distance, speed and acceleration are those of the profile that lines have."""
     own, line = LimitedProfile((SpeedLimit(0.0, 0.4, 0.1),), (0.0, 0.4), 1.0), TrapezoidalProfile(0.4, 0.1, 1.0)
     assert own.corners == pytest.approx(line.corners)
     times = np.linspace(-0.1, line.duration + 0.1, 997)
@@ -218,13 +216,6 @@ def test_a_bend_shorter_than_the_distance_between_examined_places_is_slowed_down
     plan = plan_path(shipped, Path((0.55, -0.05, 0.2), segments, 0.04, 1.0))
     setpoints = plan.setpoints(np.arange(0.0, plan.duration, 5e-4))
     assert (np.abs(setpoints[:, 2]) <= shipped.controller.limits(shipped.robot).acceleration).all()
-
-
-def test_a_stop_at_a_corner_needs_no_places() -> None:
-    """The path is examined as closely as one without corners: nothing is to be lowered where the tip rests."""
-    zigzag = tuple(Segment(((0.6 + 0.001 * (k % 2), -0.1 + 0.0033 * k, 0.2),)) for k in range(1, 41))
-    path = Path((0.6, -0.1, 0.2), zigzag, 0.05)
-    assert len(path.places(1e-3, 50)) == len(np.linspace(0.0, path.length, math.ceil(path.length / 1e-3) + 1))
 
 
 def _tips(setup: Setup, q: Array) -> tuple[Array, Array]:
@@ -310,7 +301,6 @@ REFUSED = {
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_is_no_path_is_refused_with_its_place(name: str) -> None:
-    """Each refusal is one line with the segment or place, the value and what is accepted."""
     make, said = REFUSED[name]
     with pytest.raises(LineError, match=said) as refusal:
         make()

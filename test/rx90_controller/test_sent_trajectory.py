@@ -23,9 +23,9 @@ def message(places: Sequence[float]) -> JointTrajectory:
     return JointTrajectory(joint_names=["a"], points=[JointTrajectoryPoint(positions=[place]) for place in places])
 
 
-def sent(tolerance: float = 1e-3) -> SentTrajectory:
+def sent() -> SentTrajectory:
     points = TrajectoryPoints(TIMES, PLACES[:, None], None, None)
-    return SentTrajectory(message(PLACES.tolist()), points, tolerance)
+    return SentTrajectory(message(PLACES.tolist()), points, 1e-3)
 
 
 def accepted(begin: float, places: Sequence[float] = tuple(PLACES)) -> JointTrajectory:
@@ -35,10 +35,16 @@ def accepted(begin: float, places: Sequence[float] = tuple(PLACES)) -> JointTraj
     return trajectory
 
 
-def follow(
-    trajectory: SentTrajectory, until: float, scale: float = 1.0, *, now: float = 20.0, off: float = 0.0
-) -> float:
+def taken() -> SentTrajectory:
+    """Return one that the controller has accepted, to begin at 20 s."""
+    trajectory = sent()
+    trajectory.take_acceptance(accepted(20.0))
+    return trajectory
+
+
+def follow(trajectory: SentTrajectory, until: float, scale: float = 1.0, *, off: float = 0.0) -> float:
     """Show an arm that follows at a share of the speed, by a wall clock as fast; return when it ended or failed, s."""
+    now = 20.0
     while now < until and trajectory.end == np.inf and not trajectory.fault:
         place: NDArray[np.float64] = np.interp([(now - 20.0) * scale], TIMES, PLACES) + off
         trajectory.see(now, place, now)
@@ -49,8 +55,7 @@ def follow(
 @pytest.mark.parametrize("scale", [1.0, 0.5, 0.08])
 def test_a_closed_path_ends_when_the_arm_is_back(scale: float) -> None:
     """Not in its first rest, which is at its end, too, however long speed scaling stretches it."""
-    trajectory = sent()
-    trajectory.take_acceptance(accepted(20.0))
+    trajectory = taken()
     now = follow(trajectory, 100.0, scale)
     assert trajectory.fault == ""
     assert now - 20.0 == pytest.approx(5.0 / scale, abs=0.2)
@@ -91,10 +96,7 @@ def test_what_happens_to_others_is_nothing() -> None:
     ],
 )
 def test_the_controller_says_why_it_does_not_end(line: str, begun: bool) -> None:
-    """At once, in the controller's words."""
-    trajectory = sent()
-    if begun:
-        trajectory.take_acceptance(accepted(20.0))
+    trajectory = taken() if begun else sent()
     trajectory.take_line(line)
     assert trajectory.fault == line
 
@@ -102,8 +104,7 @@ def test_the_controller_says_why_it_does_not_end(line: str, begun: bool) -> None
 @pytest.mark.parametrize(("places", "word"), [((0.0, 1.0), "another trajectory"), ((), "a stop")])
 def test_what_replaces_it_ends_it(places: Sequence[float], word: str) -> None:
     """Also where it would come to the same place."""
-    trajectory = sent()
-    trajectory.take_acceptance(accepted(20.0))
+    trajectory = taken()
     trajectory.take_acceptance(accepted(22.0, places))
     assert trajectory.fault == f"{word} has replaced the one that was sent"
 
@@ -113,9 +114,7 @@ def test_an_arm_that_rests_elsewhere_is_not_waited_for_without_end(
     is_accepted: bool, line: str, patience: float
 ) -> None:
     """It says how far off; one that a controller may still move is waited for longer."""
-    trajectory = sent()
-    if is_accepted:
-        trajectory.take_acceptance(accepted(20.0))
+    trajectory = taken() if is_accepted else sent()
     trajectory.take_line(line)
     now = follow(trajectory, 200.0, off=0.0019)
     assert now - 25.0 == pytest.approx(patience, abs=0.3)
@@ -131,8 +130,7 @@ def test_an_arm_that_does_not_move_has_not_arrived() -> None:
 
 def test_a_motion_that_nobody_saw_has_ended_where_the_controller_says_so() -> None:
     """Without a pace a short closed path is over between two samples."""
-    trajectory = sent()
-    trajectory.take_acceptance(accepted(20.0))
+    trajectory = taken()
     trajectory.see(19.0, PLACES[:1], 0.0)
     trajectory.take_line(ENDED)
     trajectory.see(26.0, PLACES[:1], 0.1)

@@ -21,16 +21,19 @@ CURVE = CubicHermiteSpline(TIMES, WAY, SPEED)
 """What SciPy makes of the trajectory that most tests follow."""
 
 
-@pytest.fixture
-def generator() -> TrajectoryGenerator:
+def following() -> TrajectoryGenerator:
     """Return a generator that begins to follow the curve at tick 0."""
     generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
     generator.accept(points(TIMES, WAY, SPEED), 0, None)
     return generator
 
 
+@pytest.fixture
+def generator() -> TrajectoryGenerator:
+    return following()
+
+
 def followed_within_limits(setpoints: Array) -> None:
-    """See that set-points are within the limits, their accelerations included."""
     within_limits(setpoints, MOST)
     assert (np.abs(setpoints[:, 2]) <= MOST * (1 + 1e-3)).all()
 
@@ -49,8 +52,7 @@ def off_the_path(position: Array, curve: CubicHermiteSpline = CURVE) -> float:
 
 def test_at_full_speed_not_a_bit_changes(generator: TrajectoryGenerator) -> None:
     """Told to follow at full speed, a running, a waiting and the next trajectory are those of a generator not told."""
-    twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    twin.accept(points(TIMES, WAY, SPEED), 0, None)
+    twin = following()
     generator.set_speed_scaling(1.0, 100)
     for each in (generator, twin):
         each.accept(points(np.array([0.7]), HOME[None], ZERO[None]), 100, 500)
@@ -81,8 +83,7 @@ def test_a_trajectory_from_rest_is_that_of_a_slower_clock(factor: float) -> None
 @settings(max_examples=25)
 def test_whenever_the_speed_changes_the_path_and_the_limits_are_kept(changes: list[tuple[int, float]]) -> None:
     """Along a curved path at any scaling, changed at any time, set-points lie on it and step within the limits."""
-    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    generator.accept(points(TIMES, WAY, SPEED), 0, None)
+    generator = following()
     got, tick = [generator.setpoints(0)], 1
     for count, factor in [*changes, (50, 1.0)]:
         generator.set_speed_scaling(factor, tick)
@@ -108,9 +109,7 @@ def test_the_change_of_speed_is_as_quick_as_the_accelerations_allow() -> None:
     # Cruising at 2 rad/s from 0.5 s on; joint 1 may change that by 18 rad/s^2, within 0.111 s.
     cruise = np.array([-0.75 * way, -0.5 * way, 0.5 * way, 0.75 * way])
     generator.reset(cruise[0])
-    generator.accept(
-        points(np.array([0.0, 0.5, 1.5, 2.0]), cruise, np.array([ZERO, velocity, velocity, ZERO])), 0, None
-    )
+    generator.accept(points([0.0, 0.5, 1.5, 2.0], cruise, [ZERO, velocity, velocity, ZERO]), 0, None)
     generator.set_speed_scaling(0.0, 700)
     got = generator.setpoints(700, 150)
     rest = int(np.argmax(np.all(got[:, 1] == 0.0, axis=1)))
@@ -133,23 +132,21 @@ def test_what_waits_at_rest_starts_in_time_whatever_the_scaling(generator: Traje
 
 def test_what_waits_behind_a_running_one_comes_later_by_as_much(generator: TrajectoryGenerator) -> None:
     """Slowed down while another trajectory waits in mid-motion, both are one path that is followed more slowly."""
-    unscaled = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    unscaled.accept(points(TIMES, WAY, SPEED), 0, None)
+    unscaled = following()
     for each in (generator, unscaled):
         each.accept(points(np.array([0.8]), HOME[None], ZERO[None]), 100, 600)
-    whole = unscaled.setpoints(0, 1500)[:, 0]
+    samples = unscaled.setpoints(0, 1500)
     generator.set_speed_scaling(0.5, 200)
     got = generator.setpoints(200, 4000)
     followed_within_limits(got)
-    samples = unscaled.setpoints(0, 1500)
     path = CubicHermiteSpline(np.arange(1500) * PERIOD, samples[:, 0], samples[:, 1])
     assert off_the_path(got[::17, 0], path) < 1e-6
-    assert np.all(got[-1, 0] == whole[-1])
+    assert np.all(got[-1, 0] == samples[-1, 0])
     # It begins where the other one is at 0.6 s of its own time.
     progress = [generator.progress(tick)[0] for tick in range(200, 2000)]
     begin = 200 + int(np.argmax(np.array(progress) >= 0.0))
     assert begin > 950
-    assert generator.setpoints(begin)[0, 0] == pytest.approx(whole[600], abs=1e-3)
+    assert generator.setpoints(begin)[0, 0] == pytest.approx(samples[600, 0], abs=1e-3)
     # A third one takes its place, as it does at full speed: it goes on from the first.
     generator.accept(points(np.array([0.9]), HOME[None], ZERO[None]), 300, 1300)
     third = generator.setpoints(300, 3000)
@@ -169,8 +166,7 @@ def test_a_stop_joint_by_joint_begins_with_the_velocity_that_there_is(generator:
     followed_within_limits(got)
     assert got[-1, 0] == pytest.approx(position + velocity * np.abs(velocity) / (2.0 * MOST), abs=1e-12)
     assert generator.speed_scaling(701) == 1.0
-    later = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    later.accept(points(TIMES, WAY, SPEED), 0, None)
+    later = following()
     later.set_speed_scaling(0.4, 100)
     later.stop(300, 700)
     followed_within_limits(later.setpoints(300, 1500))
@@ -201,8 +197,7 @@ def test_the_state_is_known_for_every_time(generator: TrajectoryGenerator) -> No
 @settings(max_examples=25)
 def test_a_stop_along_the_path_keeps_to_it_and_to_the_limits(at: int, factor: float) -> None:
     """Halted anywhere at any speed, the arm rests on the path, within three times the time of the quickest stop."""
-    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    generator.accept(points(TIMES, WAY, SPEED), 0, None)
+    generator = following()
     if factor < 1.0:
         generator.set_speed_scaling(factor, 1)
     before = generator.setpoints(0, at)

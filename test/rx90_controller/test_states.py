@@ -184,7 +184,6 @@ class Play:
         self.setpoints = [path[-1]]
 
     def switch(self) -> None:
-        """Switch the torque, or the node."""
         on, by_node = bool(self.random.random() < 0.6), bool(self.random.random() < 0.3)
         self.loop.post(TorqueSwitch(on, by_node))
         self.active = self.active or by_node if on else self.active and not by_node
@@ -237,14 +236,12 @@ class Play:
         return None
 
     def stream(self) -> None:
-        """Send a set-point near the arm, or far away."""
         interface, far = INTERFACES[self.random.integers(2)], self.random.choice([0.001, 1.0])
         value = self.law.setpoint[0] * (interface == "position") + far * self.random.normal(size=6)
         points = np.stack([value, np.nan * value])[None]
         self.loop.post(Streamed(SetPoints(interface, 0, np.array([0.03]), points, np.ones(6, dtype=bool)), "a topic"))
 
     def end(self) -> None:
-        """Cancel a goal, or give it up."""
         if self.goals and self.random.random() < 0.7:
             self.loop.post(Cancel(self.goals[self.random.integers(len(self.goals))]))
         else:
@@ -252,17 +249,7 @@ class Play:
 
     def run(self) -> None:
         """Play events; at most one goal has no end yet, the state's, and in the end each has one."""
-        steps = (
-            self.ticks,
-            self.ticks,
-            self.ticks,
-            self.offer,
-            self.offer,
-            self.switch,
-            self.stream,
-            self.end,
-            self.begin,
-        )
+        steps = [self.ticks] * 3 + [self.offer] * 2 + [self.switch, self.stream, self.end, self.begin]
         for _ in range(LENGTH):
             steps[self.random.integers(len(steps))]()
             self.loop.report()

@@ -15,17 +15,16 @@ from hypothesis import strategies as st
 from joint_moves import stamp as message_stamp
 from joint_moves import trajectory
 from moveit_servo import Servo
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from servo_rig import Rig
 
+from rx90_common.base.arrays import Array
 from rx90_controller.servo.servo import MotorStates
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
 from rx90_controller.trajectory.request import ResultCode, State
 from rx90_controller.trajectory.stream import INTERFACES, POSITION, SetPoints, Stream, StreamOptions, from_message
 from rx90_emulator.loop.setup import Setup
 
-Array = NDArray[np.float64]
 T, RATIO = 1e-3, 4  # s, ticks of the position loop; base ticks in each
 DELAY = StreamOptions().delay
 Delivery = tuple[float, Any]
@@ -44,7 +43,6 @@ class Arm(Rig):
 
     @property
     def now(self) -> float:
-        """Return the controller's time, s."""
         return self.cs7b.position_tick * T
 
     def states(self, tick: int) -> MotorStates:
@@ -70,7 +68,6 @@ class Arm(Rig):
 
 
 def keeps_limits(limits: JointLimits, setpoints: Array) -> None:
-    """Check that set-points, and the steps from one to the next, are within all limits."""
     q, v = setpoints[:, 0], setpoints[:, 1]
     assert (q <= limits.upper + 1e-6).all()
     assert (q >= limits.lower - 1e-6).all()

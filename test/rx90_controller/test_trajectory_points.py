@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from joint_moves import NAMES, ZERO
 from scipy.interpolate import BPoly
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import Rx90Error, TrajectoryError
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.paths import straight
 from rx90_controller.trajectory.spline import interpolate
 
-NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 ROW = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
 REST = [0.0] * 6
 
@@ -32,7 +32,6 @@ def create(**changed: Any) -> TrajectoryPoints:
 
 
 def test_joints_may_come_in_any_order() -> None:
-    """Whatever the order of the names, each joint gets its own values, in all three tables."""
     plain = create(position=[ROW, REST, ROW], velocity=[ROW, ROW, REST], acceleration=[ROW, REST, ROW])
     for order in itertools.islice(itertools.permutations(range(6)), 0, 720, 7):
         shuffled = create(
@@ -61,7 +60,6 @@ REFUSALS: list[tuple[dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("changed", "words"), REFUSALS, ids=[words[:40] for _, words in REFUSALS])
 def test_a_bad_trajectory_is_refused_by_point_joint_and_reason(changed: dict[str, Any], words: str) -> None:
-    """Each fault gives one line that names the point, the joint and what is accepted."""
     with pytest.raises(TrajectoryError) as caught:
         create(**changed)
     assert words in str(caught.value)
@@ -99,7 +97,6 @@ def test_rest_is_what_joint_trajectory_controller_takes_for_it() -> None:
     assert create(velocity=[REST, REST, beyond], moving_end=True).velocity[-1].tolist() == beyond
 
 
-Array = NDArray[np.float64]
 TIMES = np.array([0.0, 0.13, 0.5, 0.51, 1.7, 2.0])
 RNG = np.random.default_rng(11)
 POSITION = RNG.uniform(-1.0, 1.0, (6, 6))
@@ -122,7 +119,6 @@ def test_set_points_are_those_of_scipy_s_splines(acceleration: Array | None) -> 
 MOST = np.array([8.0, 10.0, 12.0, 8.0, 20.0, 30.0])
 LIMITS = JointLimits(NAMES, np.full(6, -9.0), np.full(6, 9.0), np.full(6, 99.0), MOST, 1e-3)
 WAY = np.array([0.5, -0.4, 0.3, 0.0, 0.2, -0.1])
-STILL = np.zeros(6)
 
 
 def averaged(times: Array, position: Array, at: Array, half: Array) -> Array:
@@ -138,7 +134,7 @@ def averaged(times: Array, position: Array, at: Array, half: Array) -> Array:
 
 def test_one_line_from_rest_to_rest_is_a_trapezoid_of_the_velocity() -> None:
     """The way is v (T - tau), v = a tau in the joint that needs most, and every joint at the same share of its way."""
-    got = straight(np.array([0.0, 1.0]), np.stack([STILL, WAY]), STILL, LIMITS)
+    got = straight(np.array([0.0, 1.0]), np.stack([ZERO, WAY]), ZERO, LIMITS)
     tau = (1.0 - np.sqrt(1.0 - 4.0 * np.abs(WAY) / MOST)).max() / 2.0
     peak = WAY / (1.0 - tau)
     assert np.abs(peak / tau / MOST).max() == pytest.approx(1.0)
@@ -153,8 +149,8 @@ def test_one_line_from_rest_to_rest_is_a_trapezoid_of_the_velocity() -> None:
 def test_between_its_ends_it_is_the_mean_of_the_lines_over_each_ramp() -> None:
     """Around a point in between, a ramp of duration 2h gives the lines averaged over 2h, and misses it by dv^2/8a."""
     times = np.array([0.0, 0.8, 1.5, 2.4])
-    position = np.stack([STILL, WAY, WAY + np.array([0.1, 0.2, -0.3, 0.4, 0.0, 0.0]), STILL])
-    got = straight(times, position, STILL, LIMITS)
+    position = np.stack([ZERO, WAY, WAY + np.array([0.1, 0.2, -0.3, 0.4, 0.0, 0.0]), ZERO])
+    got = straight(times, position, ZERO, LIMITS)
     slope = np.diff(position, axis=0) / np.diff(times)[:, None]
     at = np.linspace(0.8, 1.5, 41)
     inner = got.sample(at)
@@ -176,7 +172,7 @@ def test_it_goes_on_from_a_velocity(count: int, share: float) -> None:
     """Begun in motion, position and velocity are continuous, and accelerations within the limits, to the last point."""
     moving = share * np.array([1.0, -1.0, 0.5, 0.2, 1.0, 2.0])
     times = np.array([0.0, 1.0, 2.0])[: count + 1]
-    got = straight(times, np.stack([STILL, WAY, 0.5 * WAY])[: count + 1], moving, LIMITS)
+    got = straight(times, np.stack([ZERO, WAY, 0.5 * WAY])[: count + 1], moving, LIMITS)
     fine = np.arange(0.0, times[-1], 1e-3)
     sampled = got.sample(fine)
     assert sampled[0, 1] == pytest.approx(moving)
@@ -191,9 +187,9 @@ def test_it_goes_on_from_a_velocity(count: int, share: float) -> None:
 def test_it_ends_with_a_velocity_as_it_begins_with_one_backwards(count: int) -> None:
     """Seen backwards in time, lines from one velocity to another are those from the other, reversed, to the one."""
     begin, end = np.array([0.3, -0.2, 0.1, 0.0, 0.5, 0.2]), np.array([0.2, -0.3, 0.4, 0.1, 0.0, -1.0])
-    times, position = np.arange(count + 1.0), np.stack([STILL, WAY, 0.5 * WAY, WAY])[: count + 1]
+    times, position = np.arange(count + 1.0), np.stack([ZERO, WAY, 0.5 * WAY, WAY])[: count + 1]
     at = np.linspace(1e-4, count - 1e-4, 301)
-    for first, last in ((STILL, end), (begin, end)):
+    for first, last in ((ZERO, end), (begin, end)):
         got = straight(times, position, first, LIMITS, end_velocity=last).sample(at)
         back = straight(times, position[::-1], -last, LIMITS, end_velocity=-first).sample(count - at)
         np.testing.assert_allclose(got[:, 0], back[:, 0], atol=1e-12)
@@ -212,7 +208,6 @@ def test_it_ends_with_a_velocity_as_it_begins_with_one_backwards(count: int) -> 
     ],
 )
 def test_points_that_come_too_early_are_refused(times: list[float], said: str) -> None:
-    """Where the accelerations do not suffice for the ramps, the point and what is accepted are named."""
-    position = np.stack([STILL, WAY, STILL, WAY])[: len(times)]
+    position = np.stack([ZERO, WAY, ZERO, WAY])[: len(times)]
     with pytest.raises(TrajectoryError, match=said):
-        straight(np.array(times), position, STILL, LIMITS)
+        straight(np.array(times), position, ZERO, LIMITS)

@@ -12,7 +12,6 @@ from rx90_emulator.loop.setup import Setup
 
 @pytest.fixture(scope="session")
 def task_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the file of a line of 20 mm."""
     file = tmp_path_factory.mktemp("task") / "short.yaml"
     file.write_text(SHORT_TASK, encoding="utf-8")
     return file
@@ -20,7 +19,6 @@ def task_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def task(task_file: Path) -> LineTask:
-    """Return a line of 20 mm."""
     return load_task(task_file)
 
 

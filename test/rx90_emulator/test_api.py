@@ -129,16 +129,13 @@ HOME = [0.0, 0.3, 1.1, 0.0, 0.7, 0.0]
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
 
 
-def points(**changes: object) -> rx.TrajectoryPoints:
-    """Make two points of rest, with changes."""
-    given = {"position": [HOME, HOME], "velocity": [[0.0] * 6] * 2, "acceleration": [[]] * 2, **changes}
-    return rx.TrajectoryPoints.create(JOINTS, JOINTS, given.pop("times", [0.0, 0.1]), **given)  # type: ignore[arg-type]
+REST = rx.TrajectoryPoints.create(JOINTS, JOINTS, [0.0, 0.1], [HOME, HOME], [[0.0] * 6] * 2, [[], []])
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda s: rx.simulate(s, points(), duration=1e9), "4e\\+12 ticks does not fit into memory"),
+        (lambda s: rx.simulate(s, REST, duration=1e9), "4e\\+12 ticks does not fit into memory"),
         (lambda s: rx.path_accuracy(s.robot, rx.load_task(), np.zeros(5), np.zeros((4, 6))), r"accepted: \(5, 6\)"),
         (lambda s: rx.path_accuracy(s.robot, rx.load_task(), [1.0], [[np.nan] * 6]), "accepted: finite numbers"),
         (lambda _: rx.Sweep(rx.SweepPlan.of_grid({"task.speed": [0.1]})).simulate(1), "run 1; accepted: 0 to 0"),
@@ -164,7 +161,7 @@ def test_the_api_warns_of_what_rx90_run_announces() -> None:
     elements = (first.replaced(omega_d=math.inf, temperature=warm), *others)
     setup = dataclasses.replace(setup, friction=dataclasses.replace(setup.friction, elements=elements))
     with pytest.warns(rx.Rx90Warning) as caught:
-        run = rx.simulate(setup, points(), duration=1.3)
+        run = rx.simulate(setup, REST, duration=1.3)
     lines = [str(one.message) for one in caught]
     assert len(lines) == 2
     assert re.search(r"joint_1\.c1 is 100 Nm s/rad, not passive from 1 rad/s on", lines[0])

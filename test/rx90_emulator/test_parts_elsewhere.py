@@ -30,11 +30,6 @@ def parted_file(shipped: Setup, tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture
-def parted(parted_file: Path) -> Setup:
-    return rx.load_setup(friction=parted_file)
-
-
 @pytest.mark.parametrize(
     ("refuse", "words"),
     [

@@ -30,7 +30,6 @@ class Bench:
 
     @property
     def now(self) -> float:
-        """Return simulated time, s."""
         return self.time.ran
 
     def begin(self, message: Any) -> tuple[Any, Any]:
@@ -91,7 +90,6 @@ class Bench:
         return np.array([commanded[k] for k in range(1, count + 1)])
 
     def velocities(self) -> NDArray[np.float64]:
-        """Return the velocities of the set-points, rad/s, shape (n, 6)."""
         return np.array([message.velocity for message in self.heard()])
 
     def fastest_change(self) -> NDArray[np.float64]:

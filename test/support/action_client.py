@@ -24,7 +24,6 @@ def stamp(kind: Any, seconds: float) -> Any:
 
 
 def point(seconds: float, positions: Sequence[float], velocities: Sequence[float] | None = None) -> Any:
-    """Return a point, at rest unless it has velocities."""
     rest = [0.0] * len(positions)
     return JointTrajectoryPoint(
         positions=list(positions),
@@ -45,15 +44,11 @@ def move(to: float | Sequence[float], seconds: float = 0.2, **fields: Any) -> An
 
 
 class GoalClient:
-    def __init__(self, client: Client, controller: str = "rx90_controller") -> None:
+    def __init__(self, client: Client) -> None:
         self._client = client
         self.feedback: list[Any] = []
-        self._action = ActionClient(client.node, FollowJointTrajectory, f"{controller}/follow_joint_trajectory")
-        self.client.spin_until(self._action.server_is_ready, "the action's server")
-
-    @property
-    def client(self) -> Client:
-        return self._client
+        self._action = ActionClient(client.node, FollowJointTrajectory, "rx90_controller/follow_joint_trajectory")
+        client.spin_until(self._action.server_is_ready, "the action's server")
 
     def there(self) -> bool:
         return bool(self._action.server_is_ready())
@@ -63,7 +58,6 @@ class GoalClient:
         return future.result()
 
     def send(self, message: Any) -> Any:
-        """Send a goal; return its handle."""
         heard = self.feedback = []
         return self.wait(self._action.send_goal_async(message, lambda sent: heard.append(sent.feedback)))
 
@@ -72,17 +66,11 @@ class GoalClient:
         return handle.get_result_async()
 
     def cancel(self, handle: Any) -> Any:
-        """Cancel a goal; return what the server says."""
         return self.wait(handle.cancel_goal_async())
 
 
 class Stepper:
-    """Simulated time, which stands still unless it is asked to run.
-
-    Args:
-        client: to ask with.
-        step: the shortest time to run, s.
-    """
+    """Simulated time, which stands still unless it is asked to run, at least for a step, s."""
 
     def __init__(self, client: Client, step: float) -> None:
         self._client, self._step, self._ticks, self._ran = client, step, 0, 0
@@ -94,7 +82,6 @@ class Stepper:
 
     @property
     def ran(self) -> float:
-        """Return how long time has run, s."""
         return self._ran / BASE_RATE
 
     def run(self, seconds: float) -> None:
@@ -110,7 +97,6 @@ class Stepper:
         self._ran += ticks
 
     def pause(self, paused: bool) -> None:
-        """Let time run by itself, or no more."""
         assert self._ask(self._pauses, SetBool.Request(data=paused)).success
 
     def reset(self) -> None:

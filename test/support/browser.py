@@ -20,20 +20,12 @@ CHROMIUM = next(filter(None, map(shutil.which, CHROMIUM_NAMES)), None)
 """Debian's, or another one on the path."""
 TIMEOUT = 60_000  # ms; Chromium draws in software, on a machine with other things to do
 # Nothing of its own goes to other machines, and WebGL works without a graphics card.
+# All but WebGL is drawn without GL: in software that takes three times the processor time.
 _FLAGS = (
-    "--no-sandbox",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--ignore-gpu-blocklist",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    # All but WebGL is drawn without GL: in software that takes three times the processor time.
-    "--disable-gpu-rasterization",
-    "--disable-accelerated-2d-canvas",
+    *("--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking"),
+    *("--disable-component-update", "--disable-sync", "--ignore-gpu-blocklist", "--use-gl=angle"),
+    *("--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+    *("--disable-gpu-rasterization", "--disable-accelerated-2d-canvas"),
 )
 _DESKTOP = (1000, 500)  # small: what is drawn in software takes time by the pixel
 # What the page's software says of itself; nothing is wrong.
@@ -44,10 +36,8 @@ _USUAL = (
     "This browser does not support reading pixels from",
 )
 _MATRIX = "name => window.__viserMutable?.nodeRefFromName[name]?.matrixWorld.elements"
-# A sixtieth of a second after a frame the page would draw the next one, which in software takes a processor's time.
-# Here it makes five frames a second at most, of which most tests draw none: where things are, and the plots, do not
-# depend on it. Few are the first ones, which show errors of drawing, and then one in four seconds. A test that looks at
-# the scene's pixels asks for every picture: most screenshots would show an empty scene.
+# Sixty frames a second would take a processor's time in software. Here there are five at most, of which most tests draw
+# none: places and plots do not depend on it. "few" are the first ones, which show errors of drawing, then one in 4 s.
 _SELDOM = """let picture = 0;
     window.requestAnimationFrame = draw => setTimeout(() => { picture++; draw(performance.now()); }, 200);
     window.cancelAnimationFrame = clearTimeout;
@@ -62,13 +52,7 @@ _SHOWN = "() => Boolean(window.__viserMutable?.scene) && !document.body.innerTex
 
 
 class BrowserPage:
-    """A page, and what happened on it.
-
-    Attributes:
-        page: playwright's.
-        requests: addresses of all that it asked for, web sockets included.
-        complaints: warnings and errors of the console, and exceptions.
-    """
+    """A page, and what happened on it: what it asked for, web sockets included, and what it complained of."""
 
     def __init__(self, page: Any, address: str) -> None:
         self.page, self._address = page, address

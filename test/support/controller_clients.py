@@ -57,27 +57,26 @@ class MoveIt:
 
     HANDLED = ("joint_trajectory_controller/JointTrajectoryController",)  # of moveit_ros_control_interface_plugins.xml
 
-    def __init__(self, client: Client, space: str = "/") -> None:
-        self._client, self._space = client, space
+    def __init__(self, client: Client) -> None:
+        self._client = client
         self.managed: dict[str, Any] = {}
         self.active: dict[str, Any] = {}
         self.discover()
 
     @staticmethod
     def namespaces(client: Client) -> list[str]:
-        """Return the namespaces that Ros2ControlMultiManager makes managers for."""
         names = [name for name, _ in client.node.get_service_names_and_types()]
-        found = (name.find("controller_manager/list_controllers") for name in names)
-        return [name[:at] for name, at in zip(names, found, strict=True) if at >= 0]
+        service = "controller_manager/list_controllers"
+        return [name.partition(service)[0] for name in names if service in name]
 
     def discover(self) -> None:
         """Do what `discover` does: joints in place of interfaces, handles by type."""
-        service = f"{self._space}controller_manager/list_controllers"
-        answer = self._client.asking.call(ListControllers, service, ListControllers.Request())
+        request = ListControllers.Request()
+        answer = self._client.asking.call(ListControllers, "/controller_manager/list_controllers", request)
         self.managed, self.active = {}, {}
         for controller in answer.controller:
             assert not controller.chain_connections
             if controller.state == "active":
                 self.active[controller.name] = [each.split("/")[0] for each in controller.claimed_interfaces]
             if controller.type in self.HANDLED:
-                self.managed[f"{self._space}{controller.name}"] = controller
+                self.managed[f"/{controller.name}"] = controller

@@ -5,15 +5,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.excitation_runs import Disturbances, FourierMotion, measured
 from benchmarks.random_arms import FrictionLaw, SyntheticArm, random_arm
+from rx90_common.base.arrays import Array
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
 from rx90_emulator.identification.rows.filtering import Bandwidths, FilteredRun, filter_record
-
-Array = NDArray[np.float64]
 
 
 def plain_arm(seed: int, joints: int, *, coupled: bool) -> SyntheticArm:

@@ -78,14 +78,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Program:
-    """Sweeps: at each pose along each direction there and back at each speed.
-
-    Attributes:
-        directions: of joint velocities, the fastest element's share is 1.
-        poses: to begin at.
-        speeds: rad/s.
-        rate: samples per second.
-    """
+    """Sweeps: at each pose along each direction of joint velocities there and back at each speed, rad/s."""
 
     directions: Sequence[Sequence[float]]
     poses: Sequence[Sequence[float]]
@@ -115,12 +108,7 @@ class Program:
 def drive_torque(model: Any, matrix: Array, curves: Sequence[Curve], motion: tuple[Array, Array], rate: float) -> Array:
     """Return the drives' joint torques: rigid arm and friction; elements at rest carry some torque, too.
 
-    Args:
-        model: Pinocchio's.
-        matrix: joint velocities to those of the elements, shape (n_el, n).
-        curves: of the elements.
-        motion: positions and velocities, shape (m, n).
-        rate: samples per second.
+    `matrix` leads from joint velocities to those of the elements, shape (n_el, n); the motion's arrays are (m, n).
     """
     position, velocity = motion
     acceleration = np.gradient(velocity, 1.0 / rate, axis=0)
@@ -141,16 +129,9 @@ def write(
     storage: str = "mcap",
     header: bool = True,
 ) -> Path:
-    """Write JointState messages; the recorder is a little late.
+    """Write JointState messages of position, velocity or None, and effort, shape (m, k); the recorder is a little late.
 
-    Args:
-        path: of the bag; with storage "ros1" a file, else a folder.
-        topic: with its slash.
-        names: k joints.
-        rate: samples per second.
-        fields: position, velocity or None, and effort, shape (m, k).
-        storage: mcap, sqlite3 or ros1.
-        header: whether stamps are filled in; else they are all 0.
+    With storage "ros1" the bag is a file, else a folder; without `header` all stamps are 0.
     """
     store = {"store": ROS1} if storage == "ros1" else {}
     rows = []

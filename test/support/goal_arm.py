@@ -16,7 +16,6 @@ from rx90_controller.servo.states import Holding
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
 from rx90_controller.trajectory.request import (
     Constraints,
-    Feedback,
     GoalOptions,
     GoalTolerances,
     ResultCode,
@@ -28,14 +27,7 @@ from rx90_controller.trajectory.request import (
 LIMITS = JointLimits(NAMES, np.full(6, -2.0), np.full(6, 2.0), np.full(6, 3.0), np.full(6, 20.0), 1e-3)
 DEFAULTS = GoalTolerances.of_parameters(
     NAMES,
-    Constraints.model_validate(
-        {
-            "goal_time": 0.5,
-            "stopped_velocity_tolerance": 0.02,
-            "joint_2": {"trajectory": 0.05},
-            "joint_3": {"goal": 0.01},
-        }
-    ),
+    Constraints(goal_time=0.5, stopped_velocity_tolerance=0.02, joint_2={"trajectory": 0.05}, joint_3={"goal": 0.01}),
 )
 
 
@@ -69,8 +61,6 @@ def checked(goal: SimpleNamespace, **options: bool) -> TrajectoryRequest:
 
 
 class Event(NamedTuple):
-    """How a goal has ended, and which."""
-
     key: str
     state: State
     code: ResultCode
@@ -107,7 +97,6 @@ class Arm:
     """A servo loop, its generator, and an arm whose state is the set-point plus an error that a test sets.
 
     Attributes:
-        feedback: the newest of the active goal.
         active: key of the goal that is followed, if there is one.
     """
 
@@ -122,29 +111,27 @@ class Arm:
         self.options = options
         self.setpoints: list[Array] = []
         self.active: str | None = None
-        self.feedback: Feedback | None = None
         self._ended: list[Event] = []
 
     @property
     def tick(self) -> int:
         return self.law.position_tick
 
-    def offer(self, key: str, goal: SimpleNamespace | TrajectoryRequest) -> Event | None:
+    def offer(self, key: str, goal: SimpleNamespace) -> Event | None:
         """Offer a goal now; return the event of the one before, and raise what it is refused for."""
-        request = goal if isinstance(goal, TrajectoryRequest) else checked(goal, **self.options)
+        request = checked(goal, **self.options)
         request.on_result = lambda: self._note(key, request)
-        request.on_feedback = lambda feedback: setattr(self, "feedback", feedback)
         self.loop.offer(request)
         events = self._events()
         if request.reason:
             raise GoalError(request.code, request.reason)
-        self.active, self.feedback = key, None
+        self.active = key
         return events[0] if events else None
 
     def _note(self, key: str, goal: TrajectoryRequest) -> None:
         self._ended.append(Event(key, goal.state, goal.code, goal.reason, self.tick))
         if key == self.active:
-            self.active = self.feedback = None
+            self.active = None
 
     def _events(self) -> list[Event]:
         self.loop.report()
@@ -152,7 +139,6 @@ class Arm:
         return ended
 
     def run(self, ticks: int) -> list[Event]:
-        """Run ticks; return the events."""
         events = []
         for _ in range(ticks):
             self.loop.step(self.tick * 1_000_000, MotorStates(0, ZERO, ZERO))

@@ -9,6 +9,7 @@ _PLACES = ("0 0 0.34", "0 0 0", "0 -0.32 0", "0.08 0 0", "-0.08 0.38 0", "0 0 0"
 _TURNS = (0.0, -1.5708, 1.5708, 1.5708, -1.5708, 1.5708, 1.5708)
 _RANGES = ((-2.9, 2.9), (-1.8, 1.8), (-2.9, 2.9), (-3.1, -0.07), (-2.9, 2.9), (-0.02, 3.75), (-2.9, 2.9))
 _MASSES = (3.0, 3.0, 2.5, 2.5, 2.0, 1.5, 0.8)
+_MAST = '<limit lower="0" upper="1" velocity="1" effort="9"/>'
 _GRIP = '<limit lower="0" upper="0.04" velocity="0.2" effort="20"/>'
 _BOX = '<collision><geometry><cylinder radius="0.05" length="0.1"/></geometry></collision>'
 _MESH = '<collision><geometry><mesh filename="package://none/link.stl"/></geometry></collision>'
@@ -19,24 +20,12 @@ def write_urdf(folder: Path, joints: int = 7, *, continuous: bool = False) -> Pa
 
     The base turns on a `mast` and carries a `wheel`; one of its links has an inertia that no body has. The gripper
     has a sliding finger and one that mimics it, as the hand does, which is fixed; its tip is a frame without a body.
-
-    Args:
-        folder: where to.
-        joints: of the arm, those next to the base.
-        continuous: whether the last joint turns without end, and says no range.
+    A `continuous` arm's last joint turns without end, and says no range.
     """
     parts = [
         '<robot name="grip_arm"><link name="world"/><link name="column"><inertial><mass value="9"/>',
         '<inertia ixx="1" iyy="1" izz="9" ixy="0" ixz="0" iyz="0"/></inertial></link>',
-        _joint(
-            "mast",
-            "prismatic",
-            "world",
-            "column",
-            "0 0 0.1",
-            0.0,
-            '<limit lower="0" upper="1" velocity="1" effort="9"/>',
-        ),
+        _joint("mast", "prismatic", "world", "column", "0 0 0.1", 0.0, _MAST),
         f'<link name="tyre">{_inertial(1.0)}</link>',
         _joint("wheel", "continuous", "world", "tyre", "0 -0.3 0", 0.0, '<limit velocity="9" effort="9"/>'),
     ]

@@ -17,12 +17,7 @@ ZERO = np.zeros(6)
 
 
 def within_limits(setpoints: Array, acceleration: Array) -> None:
-    """See that velocities are those of the positions, and that no step of them is more than the accelerations allow.
-
-    Args:
-        setpoints: of successive ticks, shape (n, 3, 6).
-        acceleration: limits, rad/s^2, shape (6,).
-    """
+    """See that velocities are those of the positions, and that no step of them is more than the accelerations allow."""
     q, v = setpoints[:, 0], setpoints[:, 1]
     most = acceleration * (1 + 1e-6)
     assert (np.abs(np.diff(v, axis=0)) <= most * PERIOD).all()

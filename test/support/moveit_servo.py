@@ -4,9 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 from joint_moves import trajectory
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rx90_common.base.arrays import Array
 
 
 class Servo:

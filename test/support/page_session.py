@@ -19,7 +19,6 @@ import shlex
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,11 +50,10 @@ class Block:
 
 def blocks(page: Path) -> list[Block]:
     tokens = MarkdownIt().parse(page.read_text(encoding="utf-8"))
-    return [_block(token.info.split(), token.content, token.map[0] + 1) for token in tokens if token.type == "fence"]
-
-
-def _block(info: Sequence[str], text: str, line: int) -> Block:
-    return Block(info[0] if info else "", tuple(info[1:]), text, line)
+    fences = [token for token in tokens if token.type == "fence"]
+    words = [token.info.split() or [""] for token in fences]
+    return [Block(info[0], tuple(info[1:]), token.content, token.map[0] + 1)
+            for info, token in zip(words, fences, strict=True)]  # fmt: skip
 
 
 def commands(text: str) -> list[tuple[str, str]]:
@@ -69,12 +67,7 @@ def same(expected: str, output: str) -> bool:
 
 
 class PageSession:
-    """One reader of one page, in the working folder.
-
-    Args:
-        page: the page.
-        processes: starts and ends what the reader starts.
-    """
+    """One reader of one page, in the working folder; `processes` starts and ends what the reader starts."""
 
     def __init__(self, page: Path, processes: Processes) -> None:
         self._page, self._processes = page, processes

@@ -98,8 +98,6 @@ def open_files(pid: int | str = "[0-9]*") -> Iterator[str]:
 
 
 class Processes:
-    """Starts processes; the fixture of the same name ends them."""
-
     def __init__(self, grace: float = END_TIMEOUT) -> None:
         self._group = ProcessGroup(grace=grace)
         self._started: list[ChildProcess] = []
@@ -191,10 +189,7 @@ Start = Callable[..., "subprocess.Popen[str]"]
 
 @pytest.fixture
 def start_apart() -> Iterator[Start]:
-    """Return a function that starts a command line in a session of its own, with stdout and stderr apart.
-
-    It starts cold, but for tests with `warm`. What is left of its session is killed.
-    """
+    """Return a function that starts a command line, cold unless `warm`, in a session of its own, which is killed."""
     started: list[subprocess.Popen[str]] = []
 
     def start(*words: str, **options: Any) -> subprocess.Popen[str]:

@@ -88,7 +88,6 @@ class ReportCheck:
 
 @pytest.fixture
 def check_report(chromium: Any) -> Callable[[Path], None]:
-    """Return the check of a report; see ReportCheck."""
     return ReportCheck(chromium)
 
 

@@ -41,11 +41,7 @@ def own_node(name: str, domain: int) -> Iterator[Node]:
 
 
 class _Executor(SingleThreadedExecutor):
-    """Takes many messages at once: rclpy's wait, between two of them, costs more than ten.
-
-    Attributes:
-        listening: subscriptions, each with the list of its messages.
-    """
+    """Takes many messages at once: rclpy's wait, between two of them, costs more than ten."""
 
     def __init__(self, context: Context) -> None:
         super().__init__(context=context)
@@ -72,7 +68,6 @@ class Simulation(SimulationClient):
         self._trigger("step")
 
     def reset(self) -> None:
-        """Begin again at tick 0."""
         self._trigger("reset")
 
     def _trigger(self, name: str) -> None:
@@ -114,10 +109,7 @@ class Client:
             self.state(node)
 
     def spin_until(self, condition: Callable[[], bool], what: str, timeout: float = TIMEOUT) -> None:
-        """Listen until a condition holds, which may ask for the newest message of a list that is still empty.
-
-        Fails the test when it does not.
-        """
+        """Listen until a condition holds, which may ask for the newest message of a list that is still empty."""
 
         def holds() -> bool:
             try:

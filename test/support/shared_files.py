@@ -10,13 +10,7 @@ import pytest
 
 
 def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
-    """Return a folder of this name, which no test changes.
-
-    Args:
-        factory: of this worker.
-        name: of the folder, one for the whole run.
-        make: makes the folder and fills it; others that need it wait meanwhile, and try again where it fails.
-    """
+    """Return a folder of this name, one for the whole run, which no test changes; others wait until it is made."""
     base = factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         base = base.parent  # of all workers

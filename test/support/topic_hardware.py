@@ -19,19 +19,7 @@ _USUAL_THRESHOLD = 1e-5
 
 
 class TopicHardware:
-    """The hardware component.
-
-    Args:
-        node: for its topics; the component's own in ros2_control.
-        urdf: with an element ros2_control.
-
-    Attributes:
-        joints: names, in the URDF's order.
-        interfaces: of each joint, those that are commanded.
-        state: by joint and interface; NaN until a state has come.
-        command: the same.
-        published: how often a command was sent.
-    """
+    """The hardware component of a URDF; state and command are by joint and interface, NaN until one has come."""
 
     def __init__(self, node: Node, urdf: str) -> None:
         system = ET.fromstring(urdf).find("ros2_control")

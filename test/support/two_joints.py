@@ -33,8 +33,6 @@ def fourier(seed: int, seconds: float) -> tuple[Array, Array]:
 
 @dataclass
 class Bench:
-    """Two joints, their URDF, and runs of them."""
-
     folder: Path
     urdf: Path
     model: Any

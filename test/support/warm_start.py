@@ -5,11 +5,8 @@ signals and streams, that ends as Python ends. It is not quite a user's: what MO
 nodes are there before the first line runs, and options of Python itself, or what Python reads from the environment
 when it starts, do nothing.
 
-What hangs on that is proved where each family of commands starts cold, by its command line as a user does:
-executables of each kind out of an install space (test_packaging.py, simulation and controller together too), all
-without a package that they need (cli/test_nodes.py); rx90 line, rx90 sweep and rx90 run (test_line_command.py,
-sweep/test_execution.py, test_packaging.py); a recorder that is stopped in its imports (test_record.py); the nodes'
-common frame (cli/test_nodes.py). A new test of an import, of the first second or of Python's own start belongs there.
+What hangs on that is proved where commands start cold, as a user's do: test_packaging.py, cli/test_nodes.py,
+sweep/test_execution.py, test_record.py. A test of an import, of the first second or of Python's start belongs there.
 """
 
 import contextlib
@@ -31,34 +28,16 @@ from types import ModuleType
 from typing import Any
 
 MODULES = (
-    "rx90_common.bags.writing",
-    "rx90_common.exchange.cdr",
-    "rx90_emulator.cli.bag",
-    "rx90_emulator.cli.line",
-    "rx90_emulator.cli.node",
-    "rx90_emulator.loop.closed_loop",
-    "rx90_emulator.loop.setup",
-    "builtin_interfaces.msg",
-    "diagnostic_msgs.msg",
-    "geometry_msgs.msg",
-    "lifecycle_msgs.srv",
-    "rcl_interfaces.srv",
-    "rosgraph_msgs.msg",
-    "rosidl_generator_py",
-    "sensor_msgs.msg",
-    "std_msgs.msg",
-    "std_srvs.srv",
-    "trajectory_msgs.msg",
-    "type_description_interfaces.srv",
+    *("rx90_common.bags.writing", "rx90_common.exchange.cdr", "rx90_emulator.cli.bag", "rx90_emulator.cli.line"),
+    *("rx90_emulator.cli.node", "rx90_emulator.loop.closed_loop", "rx90_emulator.loop.setup"),
+    *("builtin_interfaces.msg", "diagnostic_msgs.msg", "geometry_msgs.msg", "lifecycle_msgs.srv", "rcl_interfaces.srv"),
+    *("rosgraph_msgs.msg", "rosidl_generator_py", "sensor_msgs.msg", "std_msgs.msg", "std_srvs.srv"),
+    *("trajectory_msgs.msg", "type_description_interfaces.srv"),
 )
 """What the processes of the tests import most. Not rclpy: it starts threads, and a fork would leave them behind."""
 _BUILT = (
-    "action_msgs.srv",
-    "control_msgs.action",
-    "control_msgs.msg",
-    "control_msgs.srv",
-    "controller_manager_msgs.msg",
-    "controller_manager_msgs.srv",
+    *("action_msgs.srv", "control_msgs.action", "control_msgs.msg", "control_msgs.srv"),
+    *("controller_manager_msgs.msg", "controller_manager_msgs.srv"),
 )
 """So are these, where they are there."""
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36

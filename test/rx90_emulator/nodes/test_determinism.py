@@ -271,7 +271,6 @@ SHORT = 0.3  # s
 
 
 def by_stamp(heard: list[Any]) -> dict[float, Any]:
-    """Return messages by their stamps, s."""
     return {seconds(message): message for message in heard}
 
 

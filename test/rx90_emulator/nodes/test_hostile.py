@@ -3,9 +3,8 @@
 import os
 import random
 import re
-import signal
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,6 @@ from rcl_interfaces.srv import (
     SetParameters,
     SetParametersAtomically,
 )
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from ros_client import JOINTS, Client
 from rosgraph_msgs.msg import Clock
@@ -36,7 +34,6 @@ from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import lock_publisher
 from rx90_common.exchange.endpoints import LATCHED_QOS, TICK_QOS
 from rx90_common.exchange.topics import FREE_RUNNING, TimeMode, motor_names
-from rx90_emulator.cli.frame import run
 
 pytestmark = pytest.mark.ros
 
@@ -50,8 +47,6 @@ VALUES = (
     ParameterValue(type=8, double_array_value=[0.0] * 10_000),
     ParameterValue(type=4, string_value=NAMES[1]),
 )
-
-
 GARBAGE = (
     b"\x00\x01\x00\x00" + struct.pack("<iI", 1, 0) + b"\xff" * 40,
     b"\x00\x01\x00\x00",
@@ -62,32 +57,19 @@ GARBAGE = (
 )
 
 
-def requests(known: str) -> Iterator[tuple[Any, str, Any]]:
-    """Return requests to the services of a node that has the parameter `known`."""
+def requests(known: str) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """Return requests, by their fields, to the services of a node that has the parameter `known`."""
     for value in VALUES:
         parameters = [Parameter(name=name, value=value) for name in (known, *NAMES[:2])]
-        yield SetParameters, "set_parameters", SetParameters.Request(parameters=parameters)
-        yield (
-            SetParametersAtomically,
-            "set_parameters_atomically",
-            SetParametersAtomically.Request(parameters=parameters[:1]),
-        )
-    yield (
-        SetParametersAtomically,
-        "set_parameters_atomically",
-        SetParametersAtomically.Request(parameters=[Parameter(name=known, value=VALUES[0])] * 1000),
-    )
-    for kind, service in (
-        (GetParameters, "get_parameters"),
-        (DescribeParameters, "describe_parameters"),
-        (GetParameterTypes, "get_parameter_types"),
-    ):
+        yield SetParameters, {"parameters": parameters}
+        yield SetParametersAtomically, {"parameters": parameters[:1]}
+    yield SetParametersAtomically, {"parameters": [Parameter(name=known, value=VALUES[0])] * 1000}
+    for kind in (GetParameters, DescribeParameters, GetParameterTypes):
         for asked in ([], [known] * 1000, *([name] for name in NAMES)):
-            yield kind, service, kind.Request(names=asked)
-    yield ListParameters, "list_parameters", ListParameters.Request(prefixes=[*NAMES], depth=2**64 - 1)
+            yield kind, {"names": asked}
+    yield ListParameters, {"prefixes": [*NAMES], "depth": 2**64 - 1}
     for name in NAMES:
-        request = GetTypeDescription.Request(type_name=name, type_hash="RIHS01_" + 64 * "0")
-        yield GetTypeDescription, "get_type_description", request
+        yield GetTypeDescription, {"type_name": name, "type_hash": "RIHS01_" + 64 * "0"}
 
 
 def trajectory() -> JointTrajectory:
@@ -126,12 +108,11 @@ def test_nodes_outlive_every_message_and_every_request(processes: Processes, cli
     """After hundreds of hostile messages and requests, each answered, all nodes serve; no line is long or forged."""
     nodes = [processes.start("rx90_sim", "--ros-args", "-p", "real_time_factor:=0.05")]
     nodes += [processes.start(name) for name in NODES[1:]]
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     publishers = {
         topic: client.node.create_publisher(kind, topic, qos)
         for kind, topic, qos in (
             (JointTrajectory, "rx90_controller/joint_trajectory", 1000),
-            (String, "time_mode", latched),
+            (String, "time_mode", LATCHED_QOS),
             (JointState, "motor_commands", 1000),
             (JointState, "motor_states", TICK_QOS),
         )
@@ -152,18 +133,18 @@ def test_nodes_outlive_every_message_and_every_request(processes: Processes, cli
             publishers[topic].publish(raw)
     callers: dict[str, Any] = {}
     for name in NODES:
-        for kind, service, request in requests(KNOWN[name]):
-            if (service := f"{name}/{service}") not in callers:
+        for kind, fields in requests(KNOWN[name]):
+            service = f"{name}/{re.sub('(?<!^)(?=[A-Z])', '_', kind.__name__).lower()}"
+            if service not in callers:
                 callers[service] = client.node.create_client(kind, service)
                 client.spin_until(callers[service].service_is_ready, service)
-            client.spin_until(callers[service].call_async(request).done, f"an answer of {service}")
+            client.spin_until(callers[service].call_async(kind.Request(**fields)).done, f"an answer of {service}")
     # A clock of negative times raises in rclpy's own callback.
     simulated = Parameter(name="use_sim_time", value=ParameterValue(type=1, bool_value=True))
     client.asking.call(SetParameters, "rx90_controller/set_parameters", SetParameters.Request(parameters=[simulated]))
     clock = client.node.create_publisher(Clock, "/clock", 10)
-    client.spin_until(
-        lambda: clock.publish(Clock(clock=Time(sec=-5))) or "not served: " in nodes[1].output, "the complaint"
-    )
+    past = Clock(clock=Time(sec=-5))
+    client.spin_until(lambda: clock.publish(past) or "not served: " in nodes[1].output, "the complaint")
     client.spin_until(lambda: nodes[1].output.count("trajectory rejected") >= 15, "the answers")
     client.send([(1.0, [0.01] * 6), (2.0, [0.02] * 6), (3.0, [0.03] * 6)])
     nodes[1].wait_for("trajectory accepted: 3 points")
@@ -184,43 +165,17 @@ def test_nodes_outlive_every_message_and_every_request(processes: Processes, cli
         assert re.search(rf"/{topic}: .*; the message is ignored", nodes[1].output), topic
 
 
-Refused = Callable[..., str]
-LIMIT = 300  # s; the kernels may have to be compiled first
+def refused(processes: Processes, code: int, name: str, *words: str) -> str:
+    """Run a command to its end; return the only line that it, and the middleware below it, has to say of that.
 
-
-def the_line(stderr: str, *others: str) -> str:
-    """Return the only line, but for those with these words.
-
-    On a machine without compiled kernels another one says that they are compiled.
+    A run that had begun has lines of its own; without compiled kernels another one says that they are compiled.
     """
-    others += ("compiling the numerical kernels",)
-    (line,) = (line for line in stderr.splitlines() if not any(words in line for words in others))
+    done = processes.run(name, *words, timeout=300.0)
+    assert done.returncode == code, done.stderr
+    others = ("compiling the numerical kernels", "[INFO] ")
+    (line,) = (line for line in done.stderr.splitlines() if not any(other in line for other in others))
+    assert line.startswith(f"{name}: ")
     return line
-
-
-@pytest.fixture
-def refused(ros_domain: int, capfd: pytest.CaptureFixture[str]) -> Iterator[Refused]:  # noqa: ARG001 - its environment
-    """Return a function that runs a command in this process and returns its only line; one that runs on is ended.
-
-    The line is the only one of all that the process writes, the middleware below Python included.
-    """
-    before = signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
-
-    def line(code: int, name: str, *words: str) -> str:
-        signal.alarm(LIMIT)
-        try:
-            ended = run(name, words)
-        finally:
-            signal.alarm(0)
-        assert ended == code
-        line = the_line(capfd.readouterr().err)
-        assert line.startswith(f"{name}: ")
-        return line
-
-    try:
-        yield line
-    finally:
-        signal.signal(signal.SIGALRM, before)
 
 
 @pytest.mark.parametrize(
@@ -232,29 +187,25 @@ def refused(ros_domain: int, capfd: pytest.CaptureFixture[str]) -> Iterator[Refu
         ("rx90_cell", "paused:=true", ["paused is unknown to rx90_controller"]),
     ],
 )
-def test_a_bad_parameter_is_one_line(refused: Refused, name: str, argument: str, accepted: list[str]) -> None:
+def test_a_bad_parameter_is_one_line(processes: Processes, name: str, argument: str, accepted: list[str]) -> None:
     """The line names the program, the offending value and what is accepted; the exit code is 2."""
-    line = refused(2, name, "--ros-args", "-p", argument)
+    line = refused(processes, 2, name, "--ros-args", "-p", argument)
     assert all(word in line for word in accepted), line
 
 
 @pytest.mark.parametrize(("name", "topic"), [("rx90_sim", "/motor_states"), ("rx90_controller", "/motor_commands")])
-def test_a_second_node_of_a_kind_is_refused(refused: Refused, ros_domain: int, name: str, topic: str) -> None:
+def test_a_second_node_of_a_kind_is_refused(processes: Processes, ros_domain: int, name: str, topic: str) -> None:
     """Its topic has a publisher already: exit code 3 and one line that names topic and process."""
     with lock_publisher(ros_domain, topic):
-        line = refused(3, name)
+        line = refused(processes, 3, name)
     held = f"{topic} in ROS_DOMAIN_ID {ros_domain} is already published by process {os.getpid()}; accepted: one"
     assert line.startswith(f"{name}: {held}")
 
 
 def test_another_robot_or_rate_than_the_simulations_ends_a_controller(processes: Processes, client: Client) -> None:
-    """In one process or from another one: exit code 3 and one line with both values.
-
-    They are processes of their own: in one process the middleware would warn of the second node of a name.
-    """
-    done = processes.run("rx90_cell", "--ros-args", "-p", "rx90_controller:robot:=tx40")
-    assert done.returncode == 3, done.stderr
-    assert the_line(done.stderr).startswith("rx90_cell: the robot is 'tx40' here and 'rx90b' in the simulation")
+    """In one process or from another one: exit code 3 and one line with both values."""
+    line = refused(processes, 3, "rx90_cell", "--ros-args", "-p", "rx90_controller:robot:=tx40")
+    assert line.startswith("rx90_cell: the robot is 'tx40' here and 'rx90b' in the simulation")
     states = client.node.create_publisher(JointState, "motor_states", TICK_QOS)
     mode = client.node.create_publisher(String, "time_mode", LATCHED_QOS)
     mode.publish(String(data=TimeMode(FREE_RUNNING, Rates()).text))
@@ -292,28 +243,23 @@ def test_the_time_mode_counts_from_the_sender_of_the_motor_states_alone(processe
 def test_a_diverging_arm_ends_the_run_with_joint_and_tick(
     processes: Processes, edited_yaml: Any, shipped_files: Any
 ) -> None:
-    """A gain far too large for an amplifier without limits ends the run with one line, not with NaN.
-
-    In a process of its own: threads of the executor may write of the run after its end, into the next test's output.
-    """
+    """A gain far too large for an amplifier without limits ends the run with one line, not with NaN."""
     drives: Path = edited_yaml(shipped_files.drives, ("motor", "peak_current"), [1e7] * 6)
     law: Path = edited_yaml(shipped_files.controller, ("servo", "kv"), [400.0] * 3 + [1.2e4] + [400.0] * 2)
     law = edited_yaml(law, ("supervision", "following_error"), [1.0] * 6)
     law = edited_yaml(law, ("supervision", "over_speed"), 10.0)
     parameters = (f"drives:={drives}", f"rx90_controller:controller:={law}", "rx90_sim:real_time_factor:=0.0")
     words = [word for given in parameters for word in ("-p", given)]
-    done = processes.run("rx90_cell", "--ros-args", *words)
-    assert done.returncode == 3, done.stderr
-    line = the_line(done.stderr, "[INFO] ")  # the run had begun
+    line = refused(processes, 3, "rx90_cell", "--ros-args", *words)
     assert re.match(r"rx90_cell: the state of joint_\d diverged in tick \d+", line)
 
 
 def test_the_simulation_takes_the_steps_that_the_arm_needs_or_says_so(
-    refused: Refused, processes: Processes, edited_yaml: Any, shipped_files: Any
+    processes: Processes, edited_yaml: Any, shipped_files: Any
 ) -> None:
     """Stiff bristles: the log tells how many plant steps the node takes by itself; fewer asked for are one line."""
     file: Path = edited_yaml(shipped_files.friction, ("elements", "joint_6", "c0"), 5.0e5)
     told = ["--ros-args", "-p", f"friction:={file}"]
     processes.start("rx90_sim", *told).wait_for(r"ready: .*, [2-9] plant steps in a tick")
-    line = refused(2, "rx90_sim", *told, "-p", "substeps:=2")
+    line = refused(processes, 2, "rx90_sim", *told, "-p", "substeps:=2")
     assert re.search(r"friction\.joint_6\.c0 is 500000 Nm/rad, .*2 plant steps.*substeps [3-9]", line), line

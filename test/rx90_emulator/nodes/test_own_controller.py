@@ -1,6 +1,5 @@
 """Controllers of one's own against `rx90_sim` over DDS, written in plain rclpy as a user's are."""
 
-from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -60,26 +59,15 @@ def test_the_node_gives_the_bits_of_one_process(processes: Processes, client: Cl
     assert np.ptp(run.joint_states[:, 0], axis=0).min() > 1e-4  # it moves
 
 
-Command = Callable[[Any], JointState]
-
-
-def command(stamp: Any, names: Sequence[str] = JOINTS, **arrays: Sequence[float]) -> JointState:
-    """Return a command, without efforts unless they are given."""
-    message = JointState(name=list(names), **{field: list(values) for field, values in arrays.items()})
-    message.header.stamp = stamp
-    return message
-
-
-ZERO = [0.0] * 6
-
-
 def test_a_late_listener_of_joint_states_alone_may_answer_them(processes: Processes, client: Client) -> None:
     """In lock-step the stamp counts, not the topic that was heard; one that is not set is told."""
     publisher = client.node.create_publisher(JointState, "joint_commands", 1)
     unset = True
 
     def answer(states: Any) -> None:
-        publisher.publish(command(Time() if unset else states.header.stamp, effort=ZERO))
+        command = JointState(name=JOINTS, effort=[0.0] * 6)
+        command.header.stamp = Time() if unset else states.header.stamp
+        publisher.publish(command)
 
     client.node.create_subscription(JointState, "joint_states", answer, 10)
     simulation = start(processes, duration=0.05)

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 from processes import Processes
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_client import Client
 from std_msgs.msg import Int32MultiArray
+
+from rx90_common.exchange.endpoints import LATCHED_QOS
 
 pytestmark = pytest.mark.ros
 
@@ -27,8 +28,7 @@ PROGRAM = """
 def test_a_program_moves_the_arm_of_running_nodes(processes: Processes, client: Client, tmp_path: Path) -> None:
     """The measured joint is where the program drove it; the outputs that are on are heard, by who comes late, too."""
     (tmp_path / "p.v2").write_text(PROGRAM)
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    heard = client.listen("rx90_program/outputs", Int32MultiArray, latched)
+    heard = client.listen("rx90_program/outputs", Int32MultiArray, LATCHED_QOS)
     processes.start("rx90_cell")
     program = processes.start("rx90 program nodes", tmp_path / "p.v2")
     client.spin_until(lambda: [7] in [list(message.data) for message in heard], "the last output")

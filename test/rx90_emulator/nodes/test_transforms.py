@@ -7,9 +7,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from processes import Processes
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_client import Client, seconds
 
+from rx90_common.exchange.endpoints import LATCHED_QOS
 from rx90_emulator.loop.setup import Setup
 
 START = [0.4, -0.6, 1.2, 3.5, -0.9, -4.0]
@@ -40,8 +40,7 @@ def test_frames_are_where_pinocchio_has_them(processes: Processes, shipped: Setu
     with closing(Client("/cell_1")) as client:
         moving, joints = client.listen("tf", TFMessage), client.listen("joint_states")
         fixed: list[Any] = []
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        client.node.create_subscription(TFMessage, "tf_static", fixed.append, latched)
+        client.node.create_subscription(TFMessage, "tf_static", fixed.append, LATCHED_QOS)
         processes.start(
             *("rx90_cell", "--ros-args", "-r", "__ns:=/cell_1", "-r", "/tf:=tf", "-r", "/tf_static:=tf_static"),
             *("-p", "rx90_sim:tf_rate:=100", "-p", "rx90_sim:paused:=true", "-p", "rx90_sim:step_ticks:=81"),

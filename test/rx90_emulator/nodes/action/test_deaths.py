@@ -28,8 +28,6 @@ SUCCEEDED, ABORTED = 4, 6  # action_msgs/GoalStatus
 
 
 class Pair:
-    """A simulation, a controller, and a client."""
-
     def __init__(self, client: Client, processes: Processes) -> None:
         from action_client import GoalClient, Stepper
 

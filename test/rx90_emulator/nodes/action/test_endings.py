@@ -40,15 +40,6 @@ def test_tolerances_along_the_path_and_at_the_goal(bench: Bench) -> None:
     assert bench.follow(move(0.01, 0.2, goal_tolerance=free)).status == SUCCEEDED
     assert bench.goals.wait(result).result.error_code == -1
 
-    for limit, code in ((1e-9, -4), (0.0, 0)):
-        assert bench.client.set_parameters("rx90_controller", constraints__joint_3__trajectory=limit) == [""]
-        assert bench.follow(move(0.0, 0.3)).result.error_code == code
-        bench.time.run(0.1)
-        bench.client.send([(0.3, [0.01] * 6)])
-        bench.time.run(0.4)
-        lines = re.findall(r"\[ERROR\].* trajectory aborted: (\S+): .*; stopping and holding", bench.cell.output)
-        assert lines == ["joint_3"]
-
 
 def test_what_ends_a_goal_is_told_to_who_sent_it(bench: Bench) -> None:
     """A cancel, another goal, a trajectory or a stop on the topic, a reset: status, code, reason and a line."""

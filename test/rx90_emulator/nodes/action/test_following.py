@@ -14,6 +14,7 @@ from action_bench import STEP, SUCCEEDED, Bench
 from numpy.typing import NDArray
 from ros_client import JOINTS, seconds
 
+from rx90_common.exchange.endpoints import LATCHED_QOS
 from rx90_common.process.children import ChildProcess
 
 pytestmark = pytest.mark.ros
@@ -84,12 +85,10 @@ def test_speed_scaling_along_the_path(bench: Bench, acceleration: NDArray[np.flo
     """At a factor f a goal takes 1/f of its time, changed on the way without a jump; at 0 it waits, and goes on."""
     from action_client import move
     from control_msgs.msg import JointTrajectoryControllerState, SpeedScalingFactor
-    from rclpy.qos import DurabilityPolicy, QoSProfile
 
     bench.home()
     states = bench.listen("controller_state", JointTrajectoryControllerState)
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    factor = bench.client.node.create_publisher(SpeedScalingFactor, "rx90_controller/speed_scaling_input", latched)
+    factor = bench.client.node.create_publisher(SpeedScalingFactor, "rx90_controller/speed_scaling_input", LATCHED_QOS)
     bench.client.spin_until(lambda: factor.get_subscription_count() > 0, "the controller")
 
     def scale(value: float, said: str) -> None:

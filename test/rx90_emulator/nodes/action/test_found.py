@@ -46,7 +46,7 @@ def test_moveit_finds_it_and_calls_its_action(bench: Bench) -> None:
     from controller_clients import MoveIt
 
     bench.client.spin_until(lambda: MoveIt.namespaces(bench.client) == ["/"], "a controller manager")
-    manager = MoveIt(bench.client, "/")
+    manager = MoveIt(bench.client)
     assert manager.active == {NAME: JOINTS}
     assert list(manager.managed) == [f"/{NAME}"]
     assert manager.managed[f"/{NAME}"].required_command_interfaces == [f"{joint}/position" for joint in JOINTS]

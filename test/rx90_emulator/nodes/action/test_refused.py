@@ -61,37 +61,27 @@ def test_brakes_end_a_goal_and_refuse_the_next(bench: Bench) -> None:
     """With the torque off the goal is aborted with INVALID_GOAL, at once; goals are rejected until it is on again."""
     from action_client import move
 
-    def deactivate() -> None:
-        assert bench.client.transition("rx90_controller", "deactivate")
+    def switch(on: bool, by_node: bool) -> None:
+        if by_node:
+            assert bench.client.transition("rx90_controller", "activate" if on else "deactivate")
+        else:
+            bench.client.enable(on)
 
-    def activate() -> None:
-        assert bench.client.transition("rx90_controller", "activate")
-
-    for off, on, end, reason in (
-        (
-            lambda: bench.client.enable(False),
-            lambda: bench.client.enable(True),
-            "the torque is off, at ",
-            "disabled; accepted: after a call of ~/enable with true",
-        ),
-        (
-            deactivate,
-            activate,
-            "the controller is deactivated, the torque is off, at ",
-            "inactive; accepted: in state active",
-        ),
+    for by_node, end, reason in (
+        (False, "the torque is off, at ", "disabled; accepted: after a call of ~/enable with true"),
+        (True, "the controller is deactivated, the torque is off, at ", "inactive; accepted: in state active"),
     ):
         bench.home()
         result = bench.goals.result_of(bench.goals.send(move(0.05, 0.4)))
         bench.time.run(0.1)
-        off()
+        switch(False, by_node)
         ended = bench.goals.wait(result)
         assert (ended.status, ended.result.error_code) == (ABORTED, -1)
         assert ended.result.error_string.startswith(end)
         bench.time.run(STEP)
         assert not bench.goals.send(move(0.0)).accepted
         bench.said(f"goal rejected: the controller is {reason}")
-        on()
+        switch(True, by_node)
         bench.time.run(STEP)
     bench.home()
     for on in (False, True):
@@ -104,7 +94,6 @@ DELAY = 0.03  # s
 
 
 def wave(time: float) -> list[float]:
-    """Return positions at a time, from rest, rad."""
     return [0.02 * (1.0 - float(np.cos(4.0 * np.pi * max(time, 0.0))))] * 6
 
 
@@ -158,9 +147,8 @@ def test_goals_results_and_cancels_of_a_burst_are_all_answered(bench: Bench) -> 
     from rclpy.action import ActionClient
 
     deep = {f"{of}_service_qos_profile": DEEP for of in ("goal", "result", "cancel")}
-    action = ActionClient(
-        bench.client.node, FollowJointTrajectory, "rx90_controller/follow_joint_trajectory", **deep
-    )  # fmt: skip
+    name = "rx90_controller/follow_joint_trajectory"
+    action = ActionClient(bench.client.node, FollowJointTrajectory, name, **deep)
     bench.client.spin_until(action.server_is_ready, "the action's server")
     bench.home()
     handles = answers(bench, [action.send_goal_async(move(0.05, 0.5)) for _ in range(BURST)], "goals")
