@@ -380,7 +380,7 @@ def test_the_table_of_set_points_is_the_trajectory(motions: Path) -> None:
         ([], (), "accepted: revolute and continuous joints with a drive of their own, --joints"),
         ([*ARM, "--home", *["0"] * 7], (), "home: arm_4 is 0 rad; accepted: [-3.1, -0.07]"),
         ([*ARM, "--keep-above", "1.5"], (), "even of a small one tip to --keep-above 1.5 is too near; accepted: walls"),
-        (ARM, ('effort="90"', 'effort="0"'), "joint 'arm_1' limit effort is 0.0; accepted: a number > 0 Nm"),
+        (ARM, ('effort="90"', 'effort="0"'), "and effort 0; accepted: numbers > 0"),
     ],
 )
 def test_what_does_not_fit_the_arm_is_refused(
