@@ -23,7 +23,8 @@ Series and bags read_bag, read_joint_states, write_bag, write_joint_states, Join
                 compare_bags, compare_series, comparison_text, Scope, Tolerances, Verdict; of a real arm beside the
                 model: compare_measured, measured_summary, write_measured, MeasuredLayout
 Identification  plan_experiments, record_on_engine, identify_friction, identification_summary, write_identification,
-                check_friction, IdentificationBags, RobotOptions; from excitation runs: identify_excitation
+                check_friction, IdentificationBags, RobotOptions; from excitation runs: identify_excitation; for one of
+                your own: regressor, excitation_problem, predict_torque, RigidArm
 
 Units are SI throughout. Setups, tasks and results are frozen: with_parameters() and dataclasses.replace() give changed
 copies; help() of a result explains its fields. Files are named by a path, or by the name of a shipped file below
@@ -80,7 +81,13 @@ if TYPE_CHECKING:
         learn_from_record as learn_from_record,
         measured as measured,
     )
+    from rx90_emulator.identification.arm import RigidArm as RigidArm
     from rx90_emulator.identification.excitation import identify_excitation as identify_excitation
+    from rx90_emulator.identification.excitation import (
+        excitation_problem as excitation_problem,
+        predict_torque as predict_torque,
+        regressor as regressor,
+    )
     from rx90_emulator.identification.experiments.plan import (
         IdentificationBags as IdentificationBags,
     )

@@ -17,6 +17,7 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import LUGRE_PASSIVITY
 from rx90_common.friction.parts.part import MIN_SPEED
 from rx90_emulator.identification.options import COULOMB_VISCOUS, MODEL_PARTS
+from rx90_emulator.identification.records import BagSource
 
 SLIDING = (
     "tau_c_positive",
@@ -129,6 +130,12 @@ class FrictionCurve:
         friction = float(np.sqrt(np.mean(self.torque**2)))
         return self.rms / friction if friction > 0.0 else math.nan
 
+    @property
+    def chi2(self) -> float:
+        """Return the mean square of the residuals over what the samples' noise leaves; 1 for noise alone."""
+        residual = (self.torque - self.fitted) / np.maximum(self.deviation, 1e-12)
+        return float(np.mean(residual**2))
+
 
 Estimates: TypeAlias = dict[str, ParameterEstimate]
 """Estimates of one element, by all or some of the names in PARAMETERS, in that order."""
@@ -201,10 +208,12 @@ class IdentifiedElement:
     Attributes:
         element: values to simulate with.
         estimates: by the names in PARAMETERS, without the viscous exponent where it is 1.
+        sources: the bags that each parameter was estimated from.
     """
 
     element: FrictionElement
     estimates: Estimates
+    sources: Mapping[str, tuple[BagSource, ...]]
 
 
 def model_parts(model: Sequence[str]) -> tuple[Part, ...]:

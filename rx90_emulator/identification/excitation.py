@@ -1,15 +1,26 @@
-"""From bags of excitation runs to an arm's dynamics, for Python users and the command alike."""
+"""From bags of excitation runs to an arm's dynamics, for Python users and the command alike.
+
+Beside `identify_excitation`, the building blocks of an own identification: regressor, equations, torques by files.
+
+columns = rx.regressor(rx.RigidArm.from_urdf("arm.urdf"), position, velocity, acceleration)
+problem = rx.excitation_problem(["run.csv"], rx.RobotOptions(urdf="arm.urdf"))
+torque = rx.predict_torque("friction.yaml", time, position, robot=rx.RobotOptions(urdf="arm.urdf"))
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
+from rx90_common.base.share import resolve_config
+from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.bodies import make_consistent, written_arm
 from rx90_emulator.identification.estimates import model_parts
@@ -20,7 +31,7 @@ from rx90_emulator.identification.fitted import (
     identified_elements,
     simplest_fit,
 )
-from rx90_emulator.identification.identify import check_given_once, read_records
+from rx90_emulator.identification.identify import check_given_once, read_records, with_friction
 from rx90_emulator.identification.options import (
     NO_TOLERANCES,
     RECORDED,
@@ -34,6 +45,7 @@ from rx90_emulator.identification.result import ExcitationIdentification, base_p
 from rx90_emulator.identification.robot import BagLayout, RecordedRobot
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
 from rx90_emulator.identification.rows.filtering import Bandwidths
+from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
 from rx90_emulator.identification.sanity import (
     Recorded,
     alarms,
@@ -43,6 +55,7 @@ from rx90_emulator.identification.sanity import (
 )
 from rx90_emulator.identification.validation.prediction import (
     Validation,
+    drive_torque,
     filtered_runs,
     recorded_equations,
     validation_bandwidths,
@@ -108,6 +121,7 @@ def identify_excitation(
     sanity = alarms(source.arm, Recorded.of(records["excitation"], source.arm), given, source.zero)
     progress("friction")
     fitted = fit_arm(problem, parts, fixed=model is not None)
+    used = tuple(record.bag for record in records["excitation"])
     progress("consistent inertias")
     consistency = make_consistent(problem, fitted, source, robot)
     arm = written_arm(problem, consistency)
@@ -123,7 +137,7 @@ def identify_excitation(
         robot=source,
         problem=problem,
         fitted=fitted,
-        elements=identified_elements(fitted, source.fallback),
+        elements=identified_elements(fitted, source.fallback, used),
         base=base_parameters(problem, fitted, consistency),
         consistency=consistency,
         compared=compared,
@@ -208,3 +222,134 @@ def _gears(layout: BagLayout, robot: RecordedRobot) -> Sequence[float] | None:
     if layout.turns is None or robot.options.gear is not None or robot.setup is None:
         return robot.options.gear
     return tuple(float(value) for value in robot.setup.drives.gear)
+
+
+class Regressor(NamedTuple):
+    """The torque of an arm without friction per unit of each base parameter along a motion.
+
+    Attributes:
+        values: Nm per unit of the parameter, shape (m, n, b): torque = values @ parameters.
+        base: the b base parameters; `base.names`, `base.groups` and `base.combination` describe their composition.
+        described: their values by the arm's description, SI units, shape (b,); 0 for offsets.
+    """
+
+    values: Array
+    base: BaseGroups
+    described: Array
+
+
+def regressor(
+    arm: RigidArm, position: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike
+) -> Regressor:
+    """Return the columns that the rigid-body torque is linear in, for base parameters of the whole arm.
+
+    Base parameters are the combinations of inertial parameters that the torque depends on (Gautier 1991).
+
+    Args:
+        arm: of n joints; `RigidArm.from_urdf(file)` or `RigidArm.from_setup(setup)`.
+        position: rad, shape (m, n).
+        velocity: rad/s, shape (m, n).
+        acceleration: rad/s^2, shape (m, n).
+
+    Raises:
+        IdentificationError: for arrays of another shape.
+    """
+    motion = _motion(arm, position, velocity, acceleration)
+    columns = StandardColumns(arm)
+    base = BaseGroups.of(columns)
+    values = columns.torque(*motion)[:, :, list(base.leading)]
+    return Regressor(values, base, base.combination @ columns.values())
+
+
+def _motion(
+    arm: RigidArm, position: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike
+) -> tuple[Array, Array, Array]:
+    """Return a motion as arrays, after a check of their shapes."""
+    motion = (
+        np.asarray(position, np.float64),
+        np.asarray(velocity, np.float64),
+        np.asarray(acceleration, np.float64),
+    )
+    for name, values in zip(("position", "velocity", "acceleration"), motion, strict=True):
+        if values.ndim != 2 or values.shape != (len(motion[0]), len(arm.names)):
+            raise IdentificationError(
+                f"{name} has shape {values.shape}; accepted: (m, {len(arm.names)}), all the same"
+            )
+    return motion
+
+
+def excitation_problem(
+    bags: Sequence[Path | str],
+    robot: RobotOptions = SHIPPED_ROBOT,
+    bandwidths: Bandwidths | None = None,
+) -> ExcitationProblem:
+    """Return the equations of recorded runs, the first step of `identify_excitation`: filtered torque, regressor, rows.
+
+    Args:
+        bags: bags or tables.
+        robot: that the bags come from; by default this project's.
+        bandwidths: of the filters; by default the widest with clean accelerations. Those of `identify_excitation` are
+            `result.problem.runs[0].bandwidths`.
+
+    Raises:
+        IdentificationError: for runs that do not belong to the robot or in which no joint moves.
+        BagError: for a bag that cannot be read.
+    """
+    paths = {"excitation": [Path(bag) for bag in bags], "validation": []}
+    if not bags:
+        raise IdentificationError("no excitation run; accepted: one or more")
+    check_given_once(paths)
+    source = RecordedRobot.load(robot, paths["excitation"], massless=True, follow=True)
+    records = read_records(paths, source, lambda _: None)["excitation"]
+    return recorded_equations(records, source, bandwidths or Bandwidths.of(records))
+
+
+def predict_torque(
+    friction: FrictionFile | Path | str,
+    time: ArrayLike,
+    position: ArrayLike,
+    velocity: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
+    *,
+    robot: RobotOptions = SHIPPED_ROBOT,
+) -> Array:
+    """Return the drive torque at the joints along a motion, by a friction file and an arm's description.
+
+    As in `check_friction`, offsets in the file's `joints` are added, and rotors and springs in it replace the robot's.
+
+    Args:
+        friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's, and
+            bristles begin undeflected.
+        time: s, even, shape (m,).
+        position: rad, shape (m, n).
+        velocity: rad/s, shape (m, n); by default differences of the positions.
+        acceleration: rad/s^2, shape (m, n); by default differences of the velocities.
+        robot: links, rotors, coupling and spring; by default this project's robot.
+
+    Returns:
+        Nm, shape (m, n).
+
+    Raises:
+        IdentificationError: for uneven times, arrays of another shape, and a file of another arm.
+        ConfigError: for a file that cannot be used.
+    """
+    at = np.asarray(time, dtype=np.float64)
+    even = at.ndim == 1 and len(at) > 2 and np.allclose(np.diff(at), at[1] - at[0], rtol=1e-3)
+    if not even or at[1] <= at[0]:
+        raise IdentificationError(
+            f"time has shape {at.shape}; accepted: three or more even, increasing times"
+        )
+    angle = np.asarray(position, dtype=np.float64)
+    if angle.shape[:1] != at.shape:
+        raise IdentificationError(f"position has shape {angle.shape}; accepted: {len(at)} rows")
+    speed = np.gradient(angle, at, axis=0) if velocity is None else velocity
+    change = np.gradient(speed, at, axis=0) if acceleration is None else acceleration
+    arm = RecordedRobot.load(robot).arm
+    motion = _motion(arm, angle, speed, change)
+    file = friction
+    where = "friction"
+    if not isinstance(file, FrictionFile):
+        where = str(resolve_config(str(file)))
+        file = FrictionFile.read(Path(where))
+    elements, held = with_friction(arm, file, where, "a prediction of torques")
+    return drive_torque(held, elements, motion, float(at[1] - at[0]))

@@ -29,6 +29,7 @@ from rx90_emulator.identification.estimates import (
     unknown_estimates,
     with_passive_fading,
 )
+from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
 
 TRIED = (Part.STRIBECK, Part.EXPONENT, Part.BRISTLE)
@@ -188,7 +189,7 @@ def simplest_fit(problem: ExcitationProblem) -> FittedArm:
 
 
 def identified_elements(
-    fitted: FittedArm, fallback: Sequence[FrictionElement] | None
+    fitted: FittedArm, fallback: Sequence[FrictionElement] | None, bags: tuple[BagSource, ...]
 ) -> tuple[IdentifiedElement, ...]:
     """Return the elements with values for all parameters.
 
@@ -199,13 +200,15 @@ def identified_elements(
     Args:
         fitted: the fit.
         fallback: elements in the same order; None if there are none.
+        bags: that were fitted.
     """
     estimates = [fitted.estimates(number) for number in range(len(fitted.laws))]
     least = least_coulomb(dict(zip(fitted.arm.element_names, estimates, strict=True)), fallback)
     elements = []
     for number, own in enumerate(estimates):
         other = None if fallback is None else fallback[number]
-        elements.append(IdentifiedElement(_element(fitted, number, other, least), own))
+        element = _element(fitted, number, other, least)
+        elements.append(IdentifiedElement(element, own, dict.fromkeys(own, bags)))
     return tuple(elements)
 
 

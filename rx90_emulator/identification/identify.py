@@ -140,7 +140,7 @@ def check_friction(
     source = RecordedRobot.load(robot, by_use["validation"], follow=True)
     where = str(resolve_config(str(friction)))
     file = FrictionFile.read(Path(where))
-    elements, arm = _with_friction(source.arm, file, where)
+    elements, arm = with_friction(source.arm, file, where, "a validation by recorded torques")
     source = replace(source, arm=arm)
     records = read_records(by_use, source, progress)["validation"]
     bandwidths = _bandwidths(file, where)
@@ -167,10 +167,17 @@ def _bristles_assumed(file: FrictionFile) -> bool:
     )
 
 
-def _with_friction(
-    arm: RigidArm, file: FrictionFile, where: str
+def with_friction(
+    arm: RigidArm, file: FrictionFile, where: str, use: str
 ) -> tuple[tuple[FrictionElement, ...], RigidArm]:
-    """Return a friction file's elements in the arm's order, and the arm with what the file states of its joints."""
+    """Return a friction file's elements in the arm's order, and the arm with what the file states of its joints.
+
+    Args:
+        arm: without friction.
+        file: its elements are the arm's.
+        where: name of the file, for a refusal.
+        use: purpose, in words, for a refusal: it supports no parts of the friction but bristles.
+    """
     names = arm.element_names
     elements = file.select(names, where)
     for name in file.elements.entries:
@@ -178,9 +185,7 @@ def _with_friction(
             reason = f"element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
             raise IdentificationError(f"{where}: {reason}")
     parts = file.elements.entries
-    refuse_parts(
-        parts, "a validation by recorded torques", f"{where}: elements.", held=("bristles",)
-    )
+    refuse_parts(parts, use, f"{where}: elements.", held=("bristles",))
     try:
         return elements, arm.with_joints(file.joints.entries)
     except IdentificationError as error:
@@ -315,13 +320,18 @@ def identify_records(
         cycles = identify_presliding(presliding, arm, known)
     else:
         reason = "no bag with micro-oscillations was given"
-        cycles = PreslidingFit((unknown_estimates(PRESLIDING, reason),) * len(arm.element_names))
+        count = len(arm.element_names)
+        cycles = PreslidingFit((unknown_estimates(PRESLIDING, reason),) * count, ((),) * count)
+    swept = tuple(record.bag for record in sliding)
     elements = []
-    for first, second, other in zip(slides.estimates, cycles.estimates, fallback, strict=True):
+    for first, second, bags, other in zip(
+        slides.estimates, cycles.estimates, cycles.sources, fallback, strict=True
+    ):
         element = _element(first, second, other, least)
         if other is None:
             element = with_passive_fading(element, None)
-        elements.append(IdentifiedElement(element, {**first, **second}))
+        sources = dict.fromkeys(first, swept) | dict.fromkeys(second, bags)
+        elements.append(IdentifiedElement(element, {**first, **second}, sources))
     return FrictionIdentification(
         robot=robot,
         elements=tuple(elements),

@@ -22,7 +22,7 @@ from rx90_emulator.identification.estimates import (
     ParameterEstimate,
     unknown_estimates,
 )
-from rx90_emulator.identification.records import JointRecord
+from rx90_emulator.identification.records import BagSource, JointRecord
 from rx90_emulator.identification.rows.micro_oscillations import (
     INERTIA_SD,
     BristleRows,
@@ -49,10 +49,12 @@ class PreslidingFit(NamedTuple):
 
     Attributes:
         estimates: for each element of the arm, in its order; the parameters are those in PRESLIDING.
+        sources: bags that the estimates of each element come from.
         motions: number of micro-motions that were used.
     """
 
     estimates: tuple[Estimates, ...]
+    sources: tuple[tuple[BagSource, ...], ...]
     motions: int = 0
 
 
@@ -76,6 +78,7 @@ def identify_presliding(
         )
     reason = f"no micro-oscillation of its joints in the bags, or {_REACTIONS}"
     estimates = [unknown_estimates(PRESLIDING, reason)] * len(arm.element_names)
+    sources: list[tuple[BagSource, ...]] = [()] * len(estimates)
     used = 0
     for number, group in enumerate(groups):
         elements = [sliding[e] for e in group.elements]
@@ -97,9 +100,11 @@ def identify_presliding(
             # An element of several joints may nearly slide although the torque of each is far from break-away.
             result = _GroupFit.of(far, group, elements)
         used += len(result.rows.motions)
+        bags = tuple(dict.fromkeys(motion.record.bag for motion in result.rows.motions))
         for e, estimate in zip(group.elements, result.estimates(arm, group), strict=True):
             estimates[e] = estimate
-    return PreslidingFit(tuple(estimates), used)
+            sources[e] = bags
+    return PreslidingFit(tuple(estimates), tuple(sources), used)
 
 
 def _most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list[MicroMotion]:

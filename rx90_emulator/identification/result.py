@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionSet
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.bodies import Consistency
@@ -56,18 +57,18 @@ class BaseParameter:
     consistent: float
 
 
-def unexplained(runs: Sequence[RunTorques]) -> list[str]:
-    """Return in words whose torques a model hardly explains, so that their values cannot be trusted.
+def unexplained(runs: Sequence[RunTorques]) -> dict[str, str]:
+    """Return, in words by joint, whose torques a model hardly explains, so that their values cannot be trusted.
 
     An offset explains a constant torque without any information; only the variation counts.
     """
-    texts = []
+    texts = {}
     residuals = np.sqrt(sum(run.variation(run.difference) for run in runs))
     recorded = np.sqrt(sum(run.variation(run.recorded) for run in runs))
     for name, residual, varying in zip(runs[0].names, residuals, recorded, strict=True):
         if residual > UNEXPLAINED * varying:
             share = min(residual / varying, 1.0) if varying else 1.0
-            texts.append(
+            texts[name] = (
                 f"{share:.0%} of what varies in the torque of {name} is not explained: its friction and its offset, "
                 "and the inertias that it alone determines, are not to be trusted"
             )
@@ -109,6 +110,11 @@ class Identification:
     @property
     def curves(self) -> dict[str, FrictionCurve]:
         """Return measured and identified torque against velocity, by element."""
+        return {}
+
+    @property
+    def element_notes(self) -> dict[str, str]:
+        """Return why the friction of single elements cannot be trusted, by their names."""
         return {}
 
     @property
@@ -200,6 +206,18 @@ class ExcitationIdentification(Identification):
         return curves
 
     @property
+    def base_covariance(self) -> Array:
+        """Return the covariance of the base parameters in the order of `base`, SI units, shape (b, b).
+
+        Infinite on the diagonal for a parameter that these runs do not determine.
+        """
+        first = len(self.fitted.fit.x)
+        covariance = self.fitted.covariance[first:, first:].copy()
+        unknown = np.flatnonzero(~self.fitted.determined[first:])
+        covariance[unknown, unknown] = np.inf
+        return covariance
+
+    @property
     def undetermined(self) -> tuple[str, ...]:
         """Return the names of base parameters that these runs do not determine."""
         return tuple(
@@ -209,7 +227,32 @@ class ExcitationIdentification(Identification):
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """Return which values cannot be trusted, and why, a sentence each."""
-        return (*unexplained(self.torques), *self._falling)
+        return (*unexplained(self.torques).values(), *self._falling)
+
+    @property
+    def element_notes(self) -> dict[str, str]:
+        """Return the warnings on the friction of single elements, and which Coulomb torque is assumed."""
+        arm = self.arm
+        poor = unexplained(self.torques)
+        source = self.robot.fallback_name
+        whose = "the least of the others" if source is None else f"that of {source}"
+        notes = {}
+        for name, row, identified in zip(
+            arm.element_names, arm.element_matrix, self.elements, strict=True
+        ):
+            texts = []
+            coulomb = identified.estimates["tau_c_positive"]
+            if not coulomb.identifiable:
+                texts.append(
+                    f"the friction of {name} is not identified ({coulomb.reason}); assumed is a Coulomb torque of "
+                    f"{identified.element.tau_c.positive:.3g} Nm, {whose}"
+                )
+            last = arm.names[np.flatnonzero(row)[-1]]
+            if last in poor:
+                texts.append(poor[last])
+            if texts:
+                notes[name] = "; ".join(texts)
+        return notes
 
     @property
     def _falling(self) -> list[str]:

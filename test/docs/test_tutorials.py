@@ -21,6 +21,7 @@ MADE = {
     ),
     "own_motion": "my_run.png",
     "friction": "joint_3.png",
+    "own_identification": "run.csv",
     "README": "my_arm/report.html my_arm/friction.yaml check.html circle.yaml",
 }
 """What pages leave in the reader's folder besides, by their names."""

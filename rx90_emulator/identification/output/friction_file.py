@@ -15,12 +15,12 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.estimates import (
     LARGEST,
     PARAMETERS,
-    PRESLIDING,
     IdentifiedElement,
     ParameterEstimate,
     digits,
 )
 from rx90_emulator.identification.fitted import ASSUMED
+from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.result import FrictionIdentification, Identification
 
 _REMARKS = """\
@@ -34,11 +34,16 @@ _NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have
 
 def sweeps_text(result: FrictionIdentification) -> str:
     """Return the text of the file of an identification from sweeps; errors as in `friction_text`."""
+    names = result.arm.element_names
     speeds = {}
+    fit = {}
     for name, curve in result.curves.items():
         size = np.abs(curve.velocity)
         speeds[name] = [digits(float(size.min()), 3), digits(float(size.max()), 3)]
-    return friction_text(result, result.arm.element_names, {"speeds": speeds})
+        goodness = {"rms": curve.rms, "share": curve.share, "chi2": curve.chi2}
+        fit[name] = {key: digits(value, 4) for key, value in goodness.items()}
+    sweeps = {use.bag.path.name: use.text(names) for use in result.sliding.usage}
+    return friction_text(result, names, {"speeds": speeds, "sweeps": sweeps, "fit": fit})
 
 
 def friction_text(
@@ -57,17 +62,20 @@ def friction_text(
     """
     date = result.date.isoformat(timespec="seconds")
     fallback = result.robot.fallback_name or ASSUMED
-    used = [(use, bag) for use, bag in result.bags if use != "validation"]
-    labels = {f"bag_{number}": use for number, (use, _) in enumerate(used, 1)}
+    used = [bag for element in result.elements for bags in element.sources.values() for bag in bags]
+    labels = {bag: f"bag_{number}" for number, bag in enumerate(dict.fromkeys(used), 1)}
     bags = {
         label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": bag.recorded}
-        for label, (_, bag) in zip(labels, used, strict=True)
+        for bag, label in labels.items()
     }
+    notes = result.element_notes
     written = {}
     parameters = {}
-    for name, identified in zip(names, result.elements, strict=True):
+    for name, its_name, identified in zip(
+        names, result.arm.element_names, result.elements, strict=True
+    ):
         element = _rounded(identified)
-        written[name] = element
+        written[name] = element.replaced(note=notes.get(its_name))
         parameters[name] = _provenance(identified, element, labels, date, fallback)
     identification = {"date": date, "bags": bags, **about, "parameters": parameters}
     check_numbers(identification, LARGEST, "identification")
@@ -87,17 +95,17 @@ def _rounded(identified: IdentifiedElement) -> FrictionElement:
     """Return an element with the identified values rounded to six digits, without the remarks of a fallback's file."""
     values = {key: digits(value) for key, value in identified.element.parameters.items()}
     element = identified.element.with_parameters(values)
-    return element.replaced(provenance=None, source=None, note=None)
+    return element.replaced(provenance=None, source=None)
 
 
 def _provenance(
     identified: IdentifiedElement,
     element: FrictionElement,
-    labels: Mapping[str, str],
+    labels: Mapping[BagSource, str],
     date: str,
     fallback: str,
 ) -> dict[str, Any]:
-    """Return value, deviation, bags and origin of each parameter of an element; labels of bags have their uses."""
+    """Return value, deviation, bags and origin of each parameter of an element."""
     parameters = {}
     for name in PARAMETERS:
         estimate = identified.estimates.get(name, _NOT_FITTED)
@@ -111,8 +119,6 @@ def _provenance(
                 "deviation": digits(estimate.deviation),
                 "interval": interval,
             }
-        other = "sliding" if name in PRESLIDING else "presliding"
-        known = name in identified.estimates
-        bags = [label for label, use in labels.items() if known and use != other]
+        bags = [labels[bag] for bag in identified.sources.get(name, ())]
         parameters[name] = content | {"bags": bags, "date": date}
     return parameters

@@ -13,6 +13,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.report.charts import chart, over_one_x
 from rx90_common.report.style import COLOURS, GREY, INK
 from rx90_emulator.identification.estimates import FrictionCurve
+from rx90_emulator.identification.validation.prediction import TipDistance
 from rx90_emulator.identification.validation.verdict import TorquePrediction
 
 DRAWN_S = 60.0  # s of a run in a plot: more could not be resolved
@@ -50,6 +51,13 @@ def torques(
         figures.append(shown)
     over_one_x(figures, "time, s")
     return figures
+
+
+def tips(tip: TipDistance) -> figure:
+    """Show the distance of the tips."""
+    shown = chart("tips", "time, s", "distance, µm", height=120)
+    shown.line(tip.time, tip.distance * 1e6, color=COLOURS[0])
+    return shown
 
 
 def friction_curve(name: str, curve: FrictionCurve) -> figure:

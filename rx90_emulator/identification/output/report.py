@@ -34,6 +34,8 @@ def _checks(checks: Sequence[Validation]) -> list[tuple[Validation, str, list[fi
     shown = []
     for check in checks:
         figures = plots.torques(check.torque, check.torque.names)
+        if check.tip is not None:
+            figures.append(plots.tips(check.tip))
         shown.append((check, Path(check.source).name, figures))
     return shown
 
@@ -66,6 +68,7 @@ def identification_page(result: Identification, files: Sequence[str]) -> str:
         kind="excitation" if isinstance(result, ExcitationIdentification) else "sweeps",
         files=files,
         versions=", ".join(f"{name} {number}" for name, number in versions().items()),
+        names=names,
         friction=rows,
         columns=summary.friction_columns(rows),
         lacking=summary.lacking(names, result.elements),

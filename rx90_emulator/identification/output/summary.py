@@ -88,11 +88,12 @@ def _with_deviation(estimate: ParameterEstimate | None) -> str:
 
 def _sweep_lines(result: FrictionIdentification) -> list[str]:
     """Return how well the curves fit, and what was used of each bag of sweeps."""
+    names = result.arm.element_names
     fits = [
         f"fit of {name}: residual {curve.rms:.3g} Nm RMS, {curve.share:.2%} of its friction"
         for name, curve in result.curves.items()
     ]
-    return [*fits, *(f"{use.bag.path}: {use.text}" for use in result.sliding.usage)]
+    return [*fits, *(f"{use.bag.path}: {use.text(names)}" for use in result.sliding.usage)]
 
 
 def _excitation_lines(result: ExcitationIdentification) -> list[str]:
@@ -212,9 +213,13 @@ def check_summary(checks: Sequence[Validation]) -> str:
     lines = []
     for check in checks:
         torque = check.torque
-        values = zip(torque.names, torque.rms, torque.rms_share, strict=True)
-        rows = [(name, number(rms), number(share, ".2%")) for name, rms, share in values]
-        lines += table(("joint", "RMS, Nm", "of torque"), rows)
+        worst = zip(torque.worst, torque.worst_share, strict=True)
+        values = zip(torque.names, torque.rms, torque.rms_share, worst, strict=True)
+        rows = [
+            (name, number(rms), number(share, ".2%"), number(most), number(of_most, ".2%"))
+            for name, rms, share, (most, of_most) in values
+        ]
+        lines += table(("joint", "RMS, Nm", "of torque", "worst, Nm", "of largest"), rows)
         lines += [f"alarm: {alarm}" for alarm in check.alarms]
         lines.append(validation_verdict(check))
     return "\n".join(lines)

@@ -8,6 +8,7 @@ out as a whole.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -66,6 +67,7 @@ class BagUse(NamedTuple):
     Attributes:
         bag: the bag.
         stretches: number of plateaus.
+        speeds: slowest and fastest speed of each element, rad/s, 0 if there is none, shape (n_el, 2).
         seconds: of the plateaus together.
         unsettled: stretches of constant velocity that were too short for servo loops and bristles to settle.
         bent: stretches that were left out because their velocity bends, as at the crest of a wave.
@@ -73,15 +75,20 @@ class BagUse(NamedTuple):
 
     bag: BagSource
     stretches: int
+    speeds: Array
     seconds: float
     unsettled: int
     bent: int
 
-    @property
-    def text(self) -> str:
-        """Return it as a line."""
+    def text(self, names: Sequence[str]) -> str:
+        """Return it as a line, with the elements by these names."""
+        ranges = [
+            f"{name} {low:.3g} to {high:.3g}"
+            for name, (low, high) in zip(names, self.speeds.tolist(), strict=True)
+            if high
+        ]
         used = f"{self.seconds:.3g} s of {self.bag.duration:.3g} s in {counted(self.stretches, 'plateau')}"
-        return f"used {used}; {self.left_out}"
+        return f"used {used}{', ' if ranges else ''}{', '.join(ranges)}{' rad/s' if ranges else ''}; {self.left_out}"
 
     @property
     def left_out(self) -> str:
@@ -115,8 +122,17 @@ def find_plateaus(record: JointRecord, elements: Array) -> tuple[list[Plateau], 
             else:
                 used[rows] = True
                 plateaus.append(Plateau(_blocks(record, elements, rows), sliding))
+    speeds = np.array(
+        [
+            np.abs(elements @ velocity(record, plateau.rows)) * plateau.sliding
+            for plateau in plateaus
+        ]
+    )
+    ranges = np.zeros((len(elements), 2))
+    for e in np.flatnonzero(speeds.any(axis=0)) if plateaus else ():
+        ranges[e] = speeds[speeds[:, e] > 0.0, e].min(), speeds[:, e].max()
     lasting = float(used.sum()) * record.period
-    return plateaus, BagUse(record.bag, len(plateaus), lasting, unsettled, bent)
+    return plateaus, BagUse(record.bag, len(plateaus), ranges, lasting, unsettled, bent)
 
 
 def velocity(record: JointRecord, rows: slice) -> Array:

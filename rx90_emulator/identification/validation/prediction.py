@@ -1,4 +1,4 @@
-"""The verdict on friction by an unused bag: the drives' torques.
+"""The verdict on friction by an unused bag: the drives' torques, and the path of the tip.
 
 Torques are predicted by the values in the files, for a given friction file and for a new one alike: rigid arm, and the
 elements' bristles along the recorded motion. Recorded and predicted torques pass one low-pass and are compared at the
@@ -11,12 +11,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from rx90_common.bags.mapping import is_table
 from rx90_common.base.arrays import Array
-from rx90_common.friction import FrictionElement
+from rx90_common.base.errors import IdentificationError
+from rx90_common.description.kinematics import tip_position
+from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.options import (
@@ -39,10 +42,11 @@ from rx90_emulator.identification.sliding import SlidingFit
 from rx90_emulator.identification.validation.verdict import (
     Criterion,
     RunTorques,
+    largest,
     run_torques,
     torque_criteria,
 )
-from rx90_emulator.measured_runs.compare import read_setpoints
+from rx90_emulator.measured_runs.compare import read_setpoints, run_along, setpoint_rows
 
 _MAX_WEIGHT_SD = 0.05  # standard deviation over RMS torque up to which a joint's error of the weights is corrected
 _BRISTLE_STEP_S = 1e-3  # s, longest step of constant velocity
@@ -50,9 +54,31 @@ _BRISTLE_STEP_S = 1e-3  # s, longest step of constant velocity
 _MAX_BANDWIDTH_OVER_RATE = 0.3
 
 
+class TipDistance(NamedTuple):
+    """Distance of the simulated from the recorded tip, along the recorded set-points.
+
+    Attributes:
+        time: s, shape (k,).
+        distance: m, shape (k,).
+    """
+
+    time: Array
+    distance: Array
+
+    @property
+    def worst(self) -> float:
+        """Return the largest distance, m."""
+        return float(self.distance.max())
+
+    @property
+    def rms(self) -> float:
+        """Return the RMS distance, m."""
+        return float(np.sqrt(np.mean(self.distance**2)))
+
+
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """Recorded and predicted torques of one bag.
+    """Recorded and predicted torques of one bag, and the distance between recorded and simulated tip.
 
     Attributes:
         torque: recorded and predicted torques of the joints.
@@ -63,6 +89,7 @@ class Validation:
         fitted: torques by identified base parameters, beside those by the files with possible bodies; None where the
             bodies are the description's.
         simplest: of a rigid body with Coulomb and viscous friction, fitted to the same runs.
+        tip: distance of the tips; None if the bag contains no set-points.
     """
 
     torque: RunTorques
@@ -72,6 +99,7 @@ class Validation:
     assumed_bristles: bool = False
     fitted: RunTorques | None = None
     simplest: RunTorques | None = None
+    tip: TipDistance | None = None
 
     @property
     def decisive(self) -> Criterion:
@@ -80,7 +108,7 @@ class Validation:
 
     @property
     def criteria(self) -> tuple[Criterion, ...]:
-        """Return the criteria of the verdict: torques of all joints and of each."""
+        """Return the criteria of the verdict: torques of all joints and of each, and distance of the tips."""
         limits = self.tolerances
         torque = self.torque.away_from_reversals if self.assumed_bristles else self.torque
         where = ", away from reversals" if self.assumed_bristles else ""
@@ -88,7 +116,15 @@ class Validation:
         if self.fitted is not None:
             where = f" by the files{where}"
             criteria += torque_criteria(self.fitted, limits)
-        return (*criteria, *torque_criteria(torque, limits, where))
+        criteria += torque_criteria(torque, limits, where)
+        if math.isfinite(limits.worst_torque):
+            share = torque.worst_share
+            criteria.append(
+                largest("largest torque difference", torque.names, share, limits.worst_torque)
+            )
+        if self.tip is not None:
+            criteria.append(Criterion("tip worst", self.tip.worst, limits.tip, unit="µm"))
+        return tuple(criteria)
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -100,6 +136,8 @@ class Validation:
                 remarks.append(f"at reversals, where the assumed c0 and c1 act, {share:.2%}")
         if self.simplest is not None:
             remarks.append(f"Coulomb and viscous friction alone {self.simplest.total_share:.2%}")
+        if self.tip is not None:
+            remarks.append(f"tip RMS {self.tip.rms * 1e6:.2f} µm")
         return tuple(remarks)
 
     @property
@@ -161,10 +199,27 @@ def written_torque(
     """
     along = []
     for run in problem.runs:
-        friction = element_torque(elements, run.velocity @ arm.element_matrix.T, 1.0 / run.rate)
-        rigid = arm.torque(run.position, run.velocity, run.acceleration)
-        along.append((rigid + friction @ arm.element_matrix)[:, :, None])
+        motion = (run.position, run.velocity, run.acceleration)
+        along.append(drive_torque(arm, elements, motion, 1.0 / run.rate)[:, :, None])
     return problem.rows_of(along)[:, 0]
+
+
+def drive_torque(
+    arm: RigidArm,
+    elements: Sequence[FrictionElement],
+    motion: tuple[Array, Array, Array],
+    step: float,
+) -> Array:
+    """Return the drive torque at the joints along a motion, friction included, Nm, shape (m, n).
+
+    Args:
+        arm: of n joints.
+        elements: one for each of the arm's; bristles begin undeflected.
+        motion: positions, rad, velocities, rad/s, and accelerations, rad/s^2, each of shape (m, n).
+        step: between the samples, s.
+    """
+    friction = element_torque(elements, motion[1] @ arm.element_matrix.T, step)
+    return arm.torque(*motion) + friction @ arm.element_matrix
 
 
 def element_torque(elements: Sequence[FrictionElement], velocity: Array, step: float) -> Array:
@@ -197,7 +252,7 @@ def validate(
     sliding: SlidingFit | None = None,
     bandwidths: Bandwidths | None = None,
 ) -> Validation:
-    """Compare friction with a bag.
+    """Compare friction with a bag; the tip only for this project's robot, if set-points are in the bag.
 
     Args:
         robot: that the bag comes from.
@@ -215,13 +270,13 @@ def validate(
     predicted = written_torque(problem, robot.arm, elements)
     if sliding is not None:
         predicted = predicted + _error_of_weights(robot.arm, sliding, problem)
-    emulated = robot.setup is not None and _is_simulated(record, robot)
-    limits = replace(EMULATED if emulated else RECORDED, **tolerances)
+    tip = _tip_distance(robot, elements, record)
+    limits = replace(RECORDED if tip is None else EMULATED, **tolerances)
     doubts = record.alarms
     if sliding is None:  # sweeps have been checked already
         doubts += alarms(robot.arm, Recorded.of([record], robot.arm), robot.options, robot.zero)
     (torque,) = run_torques(problem, predicted)
-    return Validation(torque, limits, str(record.source), doubts, assumed_bristles)
+    return Validation(torque, limits, str(record.source), doubts, assumed_bristles, tip=tip)
 
 
 def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationProblem) -> Array:
@@ -241,3 +296,40 @@ def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationPro
     deviation = np.sqrt(np.mean(np.sum(parts**2, axis=2), axis=0))
     known = deviation <= _MAX_WEIGHT_SD * np.sqrt(np.mean(recorded**2, axis=0))
     return np.where(known, regressor @ sliding.inertial, 0.0)[problem.sample, problem.joint]
+
+
+def _tip_distance(
+    robot: RecordedRobot, elements: tuple[FrictionElement, ...], record: JointRecord
+) -> TipDistance | None:
+    """Return the distance of the recorded tip from the closed loop's, run along the recorded set-points.
+
+    None if that cannot be simulated; set-points with gaps are refused.
+    """
+    setup = robot.setup
+    if setup is None:
+        return None
+    setpoints = read_setpoints(record.source, record.names, robot.zero, robot.mapping)
+    if setpoints is None:
+        return None
+    reference, position, velocity = setpoints
+    period_ns = setup.rates.period_ns * setup.rates.ratio
+    gaps = np.flatnonzero(np.diff(reference.stamp_ns) != period_ns)
+    if len(gaps):
+        raise IdentificationError(
+            f"{record.source}: the set-points of {reference.topic} have a gap at {reference.time[gaps[0]]:.3f} s; "
+            f"accepted: one every {period_ns / 1e6:g} ms"
+        )
+    first = int(np.searchsorted(record.time, reference.time[0] - 1e-9))
+    start = np.clip(record.position[first], setup.robot.lower, setup.robot.upper)
+    identified = replace(setup, friction=FrictionSet(setup.friction.names, elements))
+    run = run_along(identified, setpoint_rows(position, velocity, setup), start)
+    recorded = np.column_stack(
+        [np.interp(reference.time, record.time, joint) for joint in record.position.T]
+    )
+    chain = setup.robot.chain
+    simulated = run.slow.joint_states[:, 0]
+    distance = np.linalg.norm(
+        tip_position(chain, simulated) - tip_position(chain, recorded), axis=1
+    )
+    inside = (reference.time >= record.time[0]) & (reference.time <= record.time[-1])
+    return TipDistance(reference.time[inside], distance[inside])

@@ -154,7 +154,7 @@ class Criterion:
         value: its largest value, NaN if it is not compared.
         limit: up to which it agrees.
         joint: joint with the value; "" for a quantity of the whole arm.
-        unit: of the text: % or mrad.
+        unit: of the text: %, mrad or µm.
         digits: after the decimal point.
     """
 
@@ -173,7 +173,11 @@ class Criterion:
     @property
     def parts(self) -> tuple[str, str, str]:
         """Return quantity, value, and joint with limit: "torque RMS", "0.13%" and "(joint_6, limit 5%)"."""
-        scale, unit, after = {"%": (1e2, "%", "%"), "mrad": (1e3, " mrad", "")}[self.unit]
+        scale, unit, after = {
+            "%": (1e2, "%", "%"),
+            "mrad": (1e3, " mrad", ""),
+            "µm": (1e6, " µm", ""),
+        }[self.unit]
         whose = f"{self.joint}, " if self.joint else ""
         figure = f"{scale * self.value:.{self.digits}f}{unit}"
         return self.quantity, figure, f"({whose}limit {scale * self.limit:g}{after})"

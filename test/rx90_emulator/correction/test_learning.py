@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from pinocchio_chain import tip_pose
 
@@ -86,7 +87,9 @@ def test_the_response_is_that_of_the_servo_loop(shipped: Setup) -> None:
     for k in range(100):
         rows.append(state[0] / 1e-4)
         state = a[k // apart] @ state + b[k // apart] @ step
-    mass = np.linalg.inv(response_mass(shipped, still[0, 0]))[0, 0] * controller.inertia[0]
+    half = np.triu(pin.crba(shipped.robot.model, shipped.robot.model.createData(), still[0, 0]))
+    inertia = half + np.triu(half, 1).T + shipped.drives.rotor_matrix
+    mass = np.linalg.inv(inertia)[0, 0] * controller.inertia[0]
     kp, kv, t = controller.kp[0], controller.kv[0] * mass, np.arange(100) * 1e-3
     slow, fast = np.roots([1.0, kv, kp * kv]).real[::-1]
     expected = 1.0 + (fast * np.exp(slow * t) - slow * np.exp(fast * t)) / (slow - fast)
@@ -96,14 +99,6 @@ def test_the_response_is_that_of_the_servo_loop(shipped: Setup) -> None:
     for k in range(2000):
         state = a[k // apart] @ state + b[k // apart] @ step
     assert state[:6] == pytest.approx(step, abs=1e-7)
-
-
-def response_mass(setup: Setup, pose: Array) -> Array:
-    """Return the mass matrix, rotors included, kg m^2."""
-    import pinocchio as pin
-
-    upper = np.triu(pin.crba(setup.robot.model, setup.robot.model.createData(), pose))
-    return np.asarray(upper + np.triu(upper, 1).T + setup.drives.rotor_matrix)
 
 
 def test_trials_bring_the_true_tip_to_the_path(shipped: Setup, task: rx.LineTask) -> None:

@@ -13,6 +13,7 @@ import pytest
 import yaml
 from processes import Processes, open_files, wait_until
 
+import rx90_emulator as rx
 from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.base.errors import DONE, INTERRUPTED, ConfigError, IdentificationError
 from rx90_common.description.coupling import RX_WRIST
@@ -166,7 +167,45 @@ def test_the_runs_of_one_joint_tell_that_joint_alone(
         assert low < truth.parameters[name] < high
     page = output.with_suffix(".html").read_text(encoding="utf-8")
     assert re.findall(r'class="fact *([a-z]*)"><b>confirmed', page) == [""]  # not green beside assumed values
+    assert re.search(r"worst distance of the tips, RMS [\d.]+ µm; accepted 100 µm", page)
     check_report(output.with_suffix(".html"))
+
+
+def test_a_friction_file_says_which_bags_tell_a_value_and_how_well_they_fit(identified: tuple[Path, str]) -> None:
+    """Values have the bags of their own joint and regime; sweeps are accounted for, and a fit has its figures."""
+    content = yaml.safe_load(identified[0].read_text(encoding="utf-8"))["identification"]
+    sweep, wiggle = content["bags"]
+    assert [Path(bag["path"]).name for bag in content["bags"].values()] == ["sliding_joint_3", "presliding_joint_3"]
+    for joint, of_bristles in (("joint_3", [wiggle]), ("joint_4", [])):
+        parameters = content["parameters"][joint]
+        assert [parameters[name]["bags"] for name in ("tau_c_positive", "c2", "c0")] == [[sweep], [sweep], of_bristles]
+    (fit,) = content["fit"].values()
+    assert 0.0 < fit["chi2"] < 3.0
+    assert fit["rms"] > 0.0
+    assert fit["share"] < 0.01
+    used = content["sweeps"]["sliding_joint_3"]
+    assert re.fullmatch(r"used .* plateaus, joint_3 0\.00\d+ to [\d.]+ rad/s; left out .*", used)
+
+
+def test_the_closed_loop_along_the_recorded_set_points_is_judged_at_the_tip(
+    series: Path, shipped: Setup, tmp_path: Path
+) -> None:
+    """With the friction that made the bag the tip is where it was; twice as much of joint 3 is refused by the tip."""
+    (true,) = rx.check_friction(shipped.files.friction, [series / "validation"])
+    assert true.tip is not None
+    assert true.tip.worst < 1e-5
+    assert true.passed
+    assert true.criteria[-1].quantity == "tip worst"
+    file = rx.FrictionFile.read(shipped.files.friction)
+    third = file.elements["joint_3"]
+    static = 2.0 * third.tau_s.positive
+    elements = {**file.elements.entries, "joint_3": third.replaced(tau_c=2.0 * third.tau_c.positive, tau_s=static)}
+    (tmp_path / "twice.yaml").write_text(rx.FrictionFile.of(elements, provenance="assumed").text(), encoding="utf-8")
+    (wrong,) = rx.check_friction(tmp_path / "twice.yaml", [series / "validation"])
+    assert {criterion.quantity for criterion in wrong.criteria if not criterion.passed} >= {
+        "tip worst",
+        "largest torque difference",
+    }
 
 
 def short_series(setup: Setup) -> list[Experiment]:

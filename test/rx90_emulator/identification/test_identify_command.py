@@ -5,6 +5,7 @@ import re
 import shutil
 import signal
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from rx90_emulator.identification.options import RobotOptions, ValidationToleran
 from rx90_emulator.identification.output.report import check_page
 from rx90_emulator.identification.output.summary import check_summary
 from rx90_emulator.identification.records import BagSource
-from rx90_emulator.identification.validation.prediction import Validation
+from rx90_emulator.identification.validation.prediction import TipDistance, Validation
 from rx90_emulator.identification.validation.verdict import RunTorques
 
 pytestmark = pytest.mark.slow
@@ -211,10 +212,31 @@ def test_a_joint_at_rest_does_not_decide(error: float, confirmed: bool) -> None:
     check = validation(error)
     assert check.passed is confirmed
     assert check.torque.rms_share[0] == pytest.approx(error, rel=1e-12)
-    assert np.isnan([check.torque.rms[1], check.torque.rms_share[1]]).all()
+    torque = check.torque
+    assert np.isnan([torque.rms[1], torque.rms_share[1], torque.worst[1], torque.worst_share[1]]).all()
     assert f"{100.0 * error:.2f}" in check_page([check], "friction.yaml")
     row = next(line for line in check_summary([check]).splitlines() if line.startswith("joint_2"))
-    assert row.split() == ["joint_2", "-", "-"]
+    assert row.split() == ["joint_2", "-", "-", "-", "-"]
+
+
+@pytest.mark.parametrize(
+    ("spike", "distance", "said"),
+    [
+        (0.14, 9e-5, ""),
+        (0.16, 9e-5, "largest torque difference 16.00% (joint_1, limit 15%)"),
+        (0.14, 1.1e-4, "tip worst 110.00 µm (limit 100)"),
+    ],
+)
+def test_one_moment_and_the_tip_decide(spike: float, distance: float, said: str) -> None:
+    """A difference at one moment over the largest torque is limited, and the farthest that the tip was."""
+    check = validation(0.0)
+    recorded = check.torque.recorded
+    predicted = recorded.copy()
+    predicted[50, 0] += spike * np.abs(recorded[:, 0]).max()
+    tip = np.array([0.0, distance, 2e-5])
+    check = replace(check, torque=replace(check.torque, predicted=predicted), tip=TipDistance(np.arange(3.0), tip))
+    assert [criterion.text for criterion in check.criteria if not criterion.passed] == ([said] if said else [])
+    assert f"tip RMS {1e6 * np.sqrt(np.mean(tip**2)):.2f} µm" in check_summary([check])
 
 
 def test_without_a_file_bristles_are_assumed(hinge: Hinge, tmp_path: Path) -> None:

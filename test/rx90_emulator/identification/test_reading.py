@@ -183,9 +183,7 @@ def test_bad_bags_are_refused_in_one_line(tmp_path: Path) -> None:
     assert "carries no effort" in refused(bag("nan", messages(q, v, np.nan * e)))
     assert "the largest effort is 3e+200; accepted: 1e-09 to" in refused(bag("huge", messages(q, v, sized * 3e200)))
     assert "carries no position" in refused(bag("position", messages(np.zeros((200, 0)), v, e)))
-    for factor, said in ((-1.0, "-1"), (np.degrees(1.0), "57.3")):
-        wrong = bag(f"velocity{said}", messages(q, factor * v, e))
-        assert f"the velocity of 'a' is {said} times the change of its position" in refused(wrong)
+    assert "velocity of 'a' is -1 times the change of its position" in refused(bag("v", messages(q, -v, e)))
     back = [(topic, 10**9 + k, message) for k, (topic, _, message) in enumerate([*good[25:], *good[:25]])]
     assert "stamp goes back from 1.398000000 s to 1.000000000 s" in refused(bag("back", back))
 

@@ -59,14 +59,14 @@ FIXED = """<link name="tool"><inertial><origin xyz="0 0 0.1"/><mass value="1.5"/
 <joint name="u" type="fixed"><origin xyz="0 0.2 0.3"/><parent link="tool"/><child link="bare"/></joint></robot>"""
 
 
-def element_of(element: FrictionElement) -> IdentifiedElement:
+def element_of(element: FrictionElement, source: BagSource) -> IdentifiedElement:
     estimates = {
         name: ParameterEstimate.unknown("too short")
         if name in ("omega_s", "c0", "c1")
         else ParameterEstimate(element.parameters[name], 0.01)
         for name in PARAMETERS
     }
-    return IdentifiedElement(element, estimates)
+    return IdentifiedElement(element, estimates, dict.fromkeys(PARAMETERS, (source,)))
 
 
 def estimate_of(columns: StandardColumns, theta: Array) -> BaseEstimate:
@@ -92,7 +92,9 @@ def identified(
     given = {"problem": problem, "robot": robot, "consistency": consistency, "elements": elements, "bags": bags,
              "compared": bands}  # fmt: skip
     ranges = ((0.05, 2.0),) * len(elements)
-    return SimpleNamespace(**given, arm=arm, date=DATE, notes=(), fitted=SimpleNamespace(speeds=ranges))
+    return SimpleNamespace(
+        **given, arm=arm, date=DATE, element_notes={}, notes=(), fitted=SimpleNamespace(speeds=ranges)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +135,7 @@ def case(tmp_path_factory: pytest.TempPathFactory, source: BagSource) -> Case:
     prior = InertialPrior.of_urdf(before.robot.urdf, arm.names, rotors, [90.0], known=["tool"])
     values = StandardColumns(RigidArm.from_setup(true)).values()
     inertias = consistent_inertias(estimate_of(columns, values), prior)
-    elements = tuple(element_of(one) for one in true.friction.elements)
+    elements = tuple(element_of(one, source) for one in true.friction.elements)
     result = identified(arm, inertias, columns, elements, source, "other.yaml")
     for name, text in robot_texts(result, base.urdf, FolderBase.of(base)).items():
         (place / name).write_text(text)
@@ -220,7 +222,7 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     assert prior.dropped == ("dust",)
     inertias = consistent_inertias(estimate_of(columns, theta), prior)
     element = FrictionElement(tau_c=1.0, tau_s=1.5, omega_s=0.05, delta=1.0, c0=1e4, c1=1.0, c2=0.5)
-    result = identified(arm, inertias, columns, (element_of(element),) * 3, source)
+    result = identified(arm, inertias, columns, (element_of(element, source),) * 3, source)
     base, why = folder_base(arm, file)
     assert base is None
     assert why.startswith("URDF and friction file alone, no robot folder: ")
@@ -287,11 +289,12 @@ def test_the_compensation_is_the_identified_friction(case: Case) -> None:
         ("c2", 1.0, 1e48),
     ],
 )
-def test_no_absurd_friction_is_written(parameter: str, value: float, deviation: float) -> None:
+def test_no_absurd_friction_is_written(source: BagSource, parameter: str, value: float, deviation: float) -> None:
     """A friction value that no arm has, or a deviation that is absurd or no number, is refused by name in one line."""
-    good = element_of(FrictionElement(tau_c=1.0, tau_s=1.5, omega_s=0.05, delta=1.0, c0=1e4, c1=1.0, c2=0.5))
+    good = element_of(FrictionElement(tau_c=1.0, tau_s=1.5, omega_s=0.05, delta=1.0, c0=1e4, c1=1.0, c2=0.5), source)
     robot = SimpleNamespace(fallback_name=None)
-    result: Any = SimpleNamespace(robot=robot, bags=(), date=DATE, elements=[good])
+    arm = SimpleNamespace(element_names=["a"])
+    result: Any = SimpleNamespace(robot=robot, arm=arm, date=DATE, element_notes={}, elements=[good])
     assert "tau_c: 1.0" in friction_text(result, ["a"], {})
     estimates = {**good.estimates, parameter: ParameterEstimate(value, deviation)}
     bad = replace(good, element=good.element.with_parameters({parameter: value}), estimates=estimates)

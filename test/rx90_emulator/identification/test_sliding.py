@@ -294,7 +294,8 @@ def test_slow_sweeps_at_67_hz_are_used(hinge: RigidArm) -> None:
     records = series(np.random.default_rng(3), ripple=0.3)
     fit = identify_sliding(records, hinge)
     for one, use in zip(records, fit.usage, strict=True):
-        assert use.stretches >= 1, (one.source, use.text)
+        assert use.stretches >= 1, (one.source, use.text(("hinge",)))
+        assert use.speeds[0, 0] == pytest.approx(abs(float(str(one.source))), rel=0.25)
     found = fit.estimates[0]
     for name, truth in (("tau_c_positive", 5.0), ("tau_c_negative", 5.0), ("c2", 2.0)):
         assert abs(found[name].value - truth) < max(0.03 * truth, 3.0 * found[name].deviation), name
@@ -307,12 +308,14 @@ def humped(velocity: Array) -> Array:
 
 
 def test_a_misfit_shows(hinge: RigidArm) -> None:
-    """A curve of another form than the model's leaves more."""
+    """A curve of the model's form leaves the samples' noise; one of another form leaves more."""
     straight_fit, humped_fit = (
         identify_sliding(series(np.random.default_rng(5), friction), hinge).curves[0] for friction in (straight, humped)
     )
     assert straight_fit is not None
     assert humped_fit is not None
+    assert 0.3 < straight_fit.chi2 < 3.0
+    assert humped_fit.chi2 > 10.0
     assert humped_fit.share > 3.0 * straight_fit.share
 
 

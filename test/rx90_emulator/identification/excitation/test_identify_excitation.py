@@ -245,6 +245,10 @@ def test_a_joint_at_rest_is_assumed_and_the_others_are_written(
     said = capsys.readouterr().out
     assert re.search(r"not identified: tau_c, .* of elbow: at rest in all runs", said)
     file = yaml.safe_load((tmp_path / "out" / "friction.yaml").read_text(encoding="utf-8"))
+    whose = f"that of {tmp_path / 'other.yaml'}" if fallback else "the least of the others"
+    note = file["elements"]["elbow"]["note"]
+    assert note.startswith("the friction of elbow is not identified (at rest in all runs); assumed is a Coulomb torque")
+    assert note.endswith(whose)
     mark = file["identification"]["parameters"]["elbow"]["tau_c_positive"]
     assert (mark["identifiable"], mark["reason"], mark["provenance"]) == (False, "at rest in all runs", "assumed")
     elements = rx.FrictionFile.read(tmp_path / "out" / "friction.yaml").elements
@@ -269,7 +273,7 @@ def test_an_alarm_without_a_validation_is_said_as_one(
 def test_an_effort_that_tells_nothing_carries_a_warning(
     bench: Bench, tmp_path: Path, bag: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Terminal, parameters and report say that the torque of a joint is noise, or 0; of others not."""
+    """Terminal, friction file, parameters and report say that the torque of a joint is noise, or 0; of others not."""
     words = ["excitation", bench.folder / bag, "--output", tmp_path / "out", "--model", "coulomb-viscous"]
     assert bench.identify(*words) == 0
     warned = r"(\d+)% of what varies in the torque of (\w+) is not explained"
@@ -278,3 +282,6 @@ def test_an_effort_that_tells_nothing_carries_a_warning(
         found = re.findall(warned, " ".join(text.split()))
         assert {joint for _, joint in found} == {"elbow"}
         assert all(85 <= int(share) <= 100 for share, _ in found)
+    elements = yaml.safe_load((tmp_path / "out" / "friction.yaml").read_text(encoding="utf-8"))["elements"]
+    assert re.search(warned, elements["elbow"]["note"])
+    assert "note" not in elements["shoulder"]

@@ -164,14 +164,17 @@ def test_what_the_data_do_not_determine_counts_for_nothing(arm: Arm) -> None:
     assert_bodies(results[1])
 
 
+def with_fixed(name: str, mass: float, inertia: float, urdf: str = URDF) -> str:
+    """Return a description whose last link carries one more link, fixed 0.3 m along it."""
+    moments = f'ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"'
+    link = f'<link name="{name}"><inertial><mass value="{mass}"/><inertia {moments}/></inertial></link>'
+    joint = f'<joint name="to_{name}" type="fixed"><origin xyz="0 0 0.3"/><parent link="c_link"/><child link="{name}"/>'
+    return urdf.replace("</robot>", f"{link}{joint}</joint></robot>")
+
+
 def test_prior_decides_what_the_data_leave_open(arm: Arm) -> None:
     """With data of next to no weight the result is the prior; with a known tool its share stays, whatever the data."""
-    tool = (
-        '<link name="tool"><inertial><mass value="2"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
-    )
-    tool += '</inertial></link><joint name="t" type="fixed"><origin xyz="0 0 0.3"/><parent link="c_link"/>'
-    tool += '<child link="tool"/></joint></robot>'
-    urdf = URDF.replace("</robot>", tool)
+    urdf = with_fixed("tool", 2.0, 0.1)
     prior = InertialPrior.of_urdf(urdf, JOINTS, ROTORS, known=["tool"])
     np.testing.assert_allclose(prior.known[2], [2.0, 0, 0, 0.6, 0.28, 0, 0.28, 0, 0, 0.1], atol=1e-15)
     result = consistent_inertias(arm.estimate(arm.mapping @ arm.truth, 1e4), prior)
@@ -182,8 +185,8 @@ def test_prior_decides_what_the_data_leave_open(arm: Arm) -> None:
         strong.parameters[20:30] - inertial_parameters(strong.pseudo[2]), prior.known[2], atol=1e-14
     )
     assert_bodies(strong)
-    second = tool.replace('"tool"', '"flange"').replace('"t"', '"f"').removesuffix("</robot>")
-    two = InertialPrior.of_urdf(urdf.replace("</robot>", second + "</robot>"), JOINTS, ROTORS, known=["tool", "flange"])
+    with_both = with_fixed("flange", 2.0, 0.1, urdf)
+    two = InertialPrior.of_urdf(with_both, JOINTS, ROTORS, known=["tool", "flange"])
     np.testing.assert_allclose(two.known[2], 2.0 * prior.known[2])
     both = InertialPrior.of_urdf(urdf, JOINTS, ROTORS)
     assert [body.link for body in both.bodies] == ["a_link", "b_link", "c_link", "tool"]
@@ -245,11 +248,8 @@ def test_few_instants_of_seven_joints_tell_plausible_bodies(tmp_path: Path) -> N
 
 def test_bodies_far_from_the_base_parameters_are_warned_of(arm: Arm) -> None:
     """A tool that is known wrong keeps the bodies far away: the warning has the number; near ones have no warning."""
-    tool = '<link name="tool"><inertial><mass value="90"/><inertia ixx="4" iyy="4" izz="4" ixy="0" ixz="0" iyz="0"/>'
-    tool += '</inertial></link><joint name="t" type="fixed"><origin xyz="0 0 0.3"/><parent link="c_link"/>'
-    tool += '<child link="tool"/></joint></robot>'
     estimate = arm.estimate(arm.mapping @ arm.truth, 0.5)
-    for urdf, known, far in ((URDF, (), False), (URDF.replace("</robot>", tool), ("tool",), True)):
+    for urdf, known, far in ((URDF, (), False), (with_fixed("tool", 90.0, 4.0), ("tool",), True)):
         inertias = consistent_inertias(estimate, InertialPrior.of_urdf(urdf, JOINTS, ROTORS, known=known))
         said = Consistency(inertias, (0.01, 0.04))
         assert (inertias.distance > FAR) == far == bool(said.warning)
