@@ -110,7 +110,7 @@ def _table(series: JointSeries, columns: dict[str, Any]) -> pa.Table:
 
 def _write_npz(path: Path, series: JointSeries) -> None:
     """Write arrays of names that MATLAB takes, too, such as velocity_rad_s (n, joints); and the names of the joints."""
-    arrays = {}
+    arrays: dict[str, Any] = {}
     for field, values in series.fields.items():
         arrays[re.sub(r"\W+", "_", series.quantities[field]).strip("_")] = values
     with path.open("wb") as file:
