@@ -38,10 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("words", "complaint"),
     [
         ("compare a off --tolerance joint_states:joint_9:position=1", "joint_9, which no compared topic has"),
-        (
-            "compare a off --align 1e999999",
-            "--align is '1e999999'; accepted: start, trajectory, or a time in s",
-        ),
+        ("compare a off --align 1e999999", "--align is '1e999999'; accepted: start, trajectory, or a time in s"),
         ("compare a a --align trajectory", "no trajectory in it; accepted: a bag with rx90_controller/trajectory"),
         ("plot a --topic joints", "no topic /joints; JointState topics: /joint_states"),
         ("plot a --output mine.html", "mine.html exists; accepted: another name, or --force"),
