@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -107,7 +108,17 @@ def _table(series: JointSeries, columns: dict[str, Any]) -> pa.Table:
     return pa.table(columns)
 
 
+def _write_npz(path: Path, series: JointSeries) -> None:
+    """Write arrays of names that MATLAB takes, too, such as velocity_rad_s (n, joints); and the names of the joints."""
+    arrays: dict[str, Any] = {}
+    for field, values in series.fields.items():
+        arrays[re.sub(r"\W+", "_", series.quantities[field]).strip("_")] = values
+    with path.open("wb") as file:
+        np.savez(file, names=series.names, stamp_ns=series.stamp_ns, time_s=series.time, **arrays)
+
+
 FORMATS: Final[Mapping[str, Callable[[Path, JointSeries], None]]] = {
     ".csv": _write_csv,
     ".parquet": _write_parquet,
+    ".npz": _write_npz,
 }

@@ -245,13 +245,13 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted=_NOTHING_WRITTEN)
     parser.add_argument("bag", type=Path, **_BAG)
     _add_signals(parser)
-    text = "FILE.csv or .parquet of one topic, or a folder; must not exist"
+    text = "FILE.csv, .parquet or .npz of one topic, or a folder; must not exist"
     add_output(parser, new_folder, text, metavar="FILE|FOLDER", required=True)
     _add_topics(parser, "all")
 
 
 def _export(args: argparse.Namespace) -> None:
-    """Write joint states of a bag as tables: CSV or Parquet.
+    """Write joint states of a bag as tables: CSV, Parquet, or NPZ with names that MATLAB takes.
 
     The suffix of --output says the format; without one it is a folder with a CSV file for each topic. Every number
     keeps all its bits: `rx90 bag import` makes an equal bag of exported CSV files.
@@ -322,7 +322,7 @@ _VERBS = (
     (_add_compare, _compare, "compare two bags; exit 0 same, 1 differs, 2 cannot be compared"),
     (_add_path, _path, "print how far the tip was from the path of its set-points"),
     (_add_plot, _plot, "draw one bag, or two over each other, as a page"),
-    (_add_export, _export, "write a bag as CSV or Parquet"),
+    (_add_export, _export, "write a bag as CSV, Parquet or NPZ"),
     (_add_import, _import, "make a bag from a CSV log; a file says what its columns hold"),
     (_add_info, _info, "summarise a bag"),
 )

@@ -25,10 +25,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "target", metavar="TARGET", choices=tuple(TARGETS), help=f"simulator: {', '.join(TARGETS)}"
     )
-    about = "new folder for the simulator's files, and export.txt on what they cost"
+    about = "new folder for the simulator's files, and export.yaml on what they cost"
     add_output(parser, new_folder, about, metavar="FOLDER", required=True)
     parser.add_argument("--within", type=POSITIVE, metavar="NM",
-                        help="exit code 1 if a friction torque may differ by more than this, Nm")  # fmt: skip
+                        help="exit code 1 if a friction torque differs by more than this, Nm")  # fmt: skip
     parser.add_argument("--speeds", nargs=2, type=POSITIVE, metavar=("LOW", "HIGH"),
                         help="over which friction is fitted and compared, rad/s (identified, else 0.001 to the largest "
                         "of each joint)")  # fmt: skip
@@ -47,11 +47,11 @@ def main(options: argparse.Namespace) -> int:
     )
     write_export(done, options.output)
     print(done.text)
-    print(f"\nwritten: {', '.join(done.files)} and export.txt in {options.output}")
+    print(f"\nwritten: {', '.join(done.files)} and export.yaml in {options.output}")
     if options.within is not None and done.largest > options.within:
         worst = max(done.fits, key=lambda fit: fit.worst)
         line = (
-            f"{worst.name} differs by at most {worst.worst:.3g} Nm; accepted: {options.within:g} Nm"
+            f"{worst.name} differs by up to {worst.worst:.3g} Nm; accepted: {options.within:g} Nm"
         )
         print(f"rx90 export: {line}", file=sys.stderr)
         return VERDICT_NO

@@ -6,24 +6,27 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import ConfigError, check_type, write_error
 from rx90_common.base.quoting import aligned, listed, plain, quoted
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_common.process.files import atomic_files
 from rx90_emulator.export.files import files_of
-from rx90_emulator.export.fit import POINTS, FrictionFit, fit_friction, speeds_up_to
+from rx90_emulator.export.fit import FrictionFit, fit_friction, speeds_up_to
 from rx90_emulator.export.targets import TARGETS, Target
 from rx90_emulator.loop.setup import Arm
 
-REPORT = "export.txt"
+REPORT = "export.yaml"
 """The file beside those of the simulator that states the errors of the export."""
 
-_BESIDE = 1e-9  # rad/s beside rest: far below the Stribeck velocities
+_GRID = 1_000_000  # most combinations of the speeds of joints that move at once
+_BESIDE = 1e-9  # rad/s beside rest: above the rounding of sums of speeds, far below the Stribeck velocities
 _ROUNDING = 1e-9  # Nm: a smaller difference is rounding
 _OTHER_SHAPE = (TypeError, ValueError, KeyError, IndexError, AttributeError)
 
@@ -48,7 +51,7 @@ class Export:
 
     @property
     def largest(self) -> float:
-        """Return what a friction torque differs by at most, Nm, also while other joints move."""
+        """Return the largest difference of a friction torque, Nm, also while other joints move."""
         return max(fit.worst for fit in self.fits)
 
     @property
@@ -83,6 +86,33 @@ class Export:
             for x, names in whose.items()
         ]
         return "\n".join(lines)
+
+    def report(self) -> str:
+        """Return the same as YAML."""
+        elements = {
+            fit.name: {
+                "speeds": [float(fit.speeds.min()), float(fit.speeds.max())],
+                "largest_difference": fit.largest,
+                "rms_difference": fit.rms,
+                "more_while_others_move": fit.coupled,
+                "largest_while_others_move": fit.worst,
+                "break_away": {"robot": list(fit.break_away[0]), "exported": list(fit.break_away[1])},
+                "presliding_stiffness": {"robot": fit.stiffness[0], "exported": _finite(fit.stiffness[1])},
+                "exported": {
+                    key: list(value) if isinstance(value, tuple) else _finite(value)
+                    for key, value in vars(fit.law).items()
+                },
+                "lost": list(fit.lost),
+            }
+            for fit in self.fits
+        }  # fmt: skip
+        head = f"# What {self.target.name} holds of this robot's friction: Nm, rad/s, Nm/rad, joint side.\n"
+        content: dict[str, Any] = {"target": self.target.name, "speeds": self.speeds}
+        return head + yaml_text(content | {"lost": list(self.lost), "friction": elements})
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def _both(values: Sequence[float]) -> str:
@@ -162,26 +192,74 @@ def _identified_ranges(arm: Arm) -> dict[str, tuple[float, float]]:
 
 
 def _with_coupling(fit: FrictionFit, arm: Arm, joint: int, used: Sequence[Array]) -> FrictionFit:
-    """Return the fit of a joint with a bound of what it errs more while others turn its shared elements, too.
+    """Return the fit of a joint with its errors where its friction depends on other joints' motion, too.
 
-    Against the joint's own motion they have an element's largest torque of the one sign in place of the other one.
+    The joint's friction and the target's law are compared over the grid of all their speeds in use, of either sign, and
+    where these cancel in an element.
     """
     rows = arm.drives.turning.element_matrix
-    fastest = np.array([speeds.max() for speeds in used])
+    felt: list[int] = np.flatnonzero(rows[:, joint]).tolist()
+    turning: list[int] = np.flatnonzero(rows[felt].any(axis=0)).tolist()
+    joints = [joint, *(k for k in turning if k != joint)]
+    if len(joints) == 1:
+        return fit
+    count = int(_GRID ** (1.0 / len(joints))) // 2
+    signed = []
+    for k in joints:
+        speeds = np.sort(used[k])
+        if len(speeds) > count:
+            speeds = speeds[np.linspace(0, len(speeds) - 1, count).astype(int)]
+        signed.append(np.concatenate([-speeds, speeds]))
+    grid = [*np.meshgrid(*signed, indexing="ij", sparse=True)]
+    combinations = [grid]
+    for e in felt:
+        combinations += _near_rest(rows[e, joints], grid)
+    worst = fit.largest
+    more = dict.fromkeys(felt, 0.0)
+    for combination in combinations:
+        alone = combination[0]
+        difference = -np.sign(alone) * fit.law.torque(np.abs(alone))
+        for e in felt:
+            element = arm.friction.elements[e]
+            turn = rows[e, joint]
+            inputs = sum(rows[e, k] * speed for k, speed in zip(joints, combination, strict=True))
+            torque = turn * element.steady_torque(inputs)
+            difference = difference + torque
+            more[e] = max(
+                more[e], float(np.abs(torque - turn * element.steady_torque(turn * alone)).max())
+            )
+        worst = max(worst, float(np.abs(difference).max()))
     lost = list(fit.lost)
     coupled = 0.0
-    for e in np.flatnonzero(rows[:, joint]).tolist():
-        others = [k for k in np.flatnonzero(rows[e]).tolist() if k != joint]
+    for e in felt:
+        others = [arm.robot.joint_names[k] for k in joints[1:] if rows[e, k]]
         if others:
-            speeds = np.geomspace(_BESIDE, np.abs(rows[e]) @ fastest, POINTS)
-            torque = arm.friction.elements[e].steady_torque(np.concatenate([-speeds, speeds]))
-            most = float(np.abs(rows[e, joint]) * np.ptp(torque))
-            moving = " and ".join(arm.robot.joint_names[k] for k in others)
+            name = arm.friction.names[e]
             lost.append(
-                f"coupling: while {moving} moves, {arm.friction.names[e]} differs by at most {most:.3g} Nm more"
+                f"coupling: while {' and '.join(others)} moves, {name} differs by up to {more[e]:.3g} Nm more"
             )
-            coupled += most
-    return replace(fit, lost=tuple(lost), coupled=coupled)
+            coupled += more[e]
+    return replace(fit, lost=tuple(lost), coupled=coupled, worst=worst)
+
+
+def _near_rest(turns: Array, grid: Sequence[Array]) -> list[list[Array]]:
+    """Return the grid with the speed of one joint such that an element all but rests, where it breaks away.
+
+    Args:
+        turns: how much the element turns with each joint of the grid, shape (joints,).
+        grid: speeds of each joint, rad/s, sparse.
+    """
+    combinations: list[list[Array]] = []
+    if not turns[1:].any():
+        return combinations
+    for place in np.flatnonzero(turns).tolist():
+        rest = sum(-turns[k] / turns[place] * grid[k] for k in range(len(grid)) if k != place)
+        range_of = np.abs(grid[place])
+        reached = np.copysign(np.clip(np.abs(rest), range_of.min(), range_of.max()), rest)
+        combinations += [
+            [*grid[:place], reached + side, *grid[place + 1 :]] for side in (-_BESIDE, _BESIDE)
+        ]
+    return combinations
 
 
 def _arm_losses(arm: Arm, target: Target) -> list[str]:
@@ -231,5 +309,5 @@ def write_export(export: Export, folder: Path | str) -> None:
         raise write_error(folder, error) from error
     with atomic_files(folder) as (place,):
         place.mkdir()
-        for name, text in {**export.files, REPORT: export.text}.items():
+        for name, text in {**export.files, REPORT: export.report()}.items():
             (place / name).write_text(text, encoding="utf-8")

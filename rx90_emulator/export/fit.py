@@ -73,6 +73,7 @@ class FrictionFit:
         break_away: of the element and of the target, each for positive and for negative velocity, Nm.
         stiffness: presliding stiffness of the element and of the target, Nm/rad; infinite for a target without one.
         lost: properties that the target does not represent, a sentence each.
+        worst: largest difference at these speeds, also while other joints move at theirs, Nm.
         coupled: how much the torques of shared elements change at most when other joints move, Nm.
     """
 
@@ -84,12 +85,8 @@ class FrictionFit:
     break_away: tuple[tuple[float, ...], tuple[float, ...]]
     stiffness: tuple[float, float]
     lost: tuple[str, ...]
+    worst: float
     coupled: float = 0.0
-
-    @property
-    def worst(self) -> float:
-        """Return what the torque differs by at most at these speeds, also while other joints move at theirs, Nm."""
-        return self.largest + self.coupled
 
 
 def speeds_up_to(high: float, low: float = LINEAR_SPEED) -> Array:
@@ -123,15 +120,17 @@ def fit_friction(
     at_rest = [one.tau_s if one.curve is None else one.curve.at_rest for one in elements]
     static = sum(one.positive for one in at_rest), sum(one.negative for one in at_rest)
     difference = np.concatenate([forward, backward]) - np.tile(law.torque(speeds), 2)
+    largest = float(np.abs(difference).max())
     return FrictionFit(
         name,
         law,
         speeds,
-        float(np.abs(difference).max()),
+        largest,
         float(np.sqrt(np.mean(difference**2))),
         (static, (law.tau_s, law.tau_s)),
         (sum(one.c0 for one in elements), law.c0),
         tuple(each for one in elements for each in _lost(target, one, float(speeds.max()))),
+        largest,
     )
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rig_bench import greeted, read_some, rig_file_with
+from rig_bench import greeted, read_some, rig_file_with, spoil
 
 from friction_bench.experiment.identification import identify_ramps
 from friction_bench.experiment.job import run_ramp
@@ -49,15 +49,7 @@ def test_counters_unwrap_across_roll_overs(bits: int) -> None:
 
 def test_lost_reports_cost_no_position(client: RigClient, emulated: EmulatedRig) -> None:
     """Reports lost in the midst of a ramp are counted, and the angle at its end is the plant's own."""
-    read, number = emulated.board.read, 0
-
-    def lossy() -> bytes:
-        nonlocal number
-        data = read()
-        number += bool(data)
-        return b"" if number % 60 == 0 else data
-
-    emulated.board.read = lossy
+    spoil(emulated.board, 60, lambda _: b"")
     record = run_ramp(client, 0.05, 0.1, False, "x")
     assert client.bad_frames > 5
     assert client.lost_reports > 5

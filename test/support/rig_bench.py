@@ -1,9 +1,10 @@
 """A rig behind a pseudo-terminal that bears a busy machine, and a link to it, both on threads of the test."""
 
+import itertools
 import os
 import select
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -38,6 +39,17 @@ def greeted(rig: Rig, seed: int = 1, loaded: bool = False, board: NativeBoard | 
     client = RigClient(VirtualPort(emulated), rig)
     client.connect()
     return client
+
+
+def spoil(board: NativeBoard, every: int, change: Callable[[bytes], bytes]) -> None:
+    """Change every so many-th piece of what a board says."""
+    read, pieces = board.read, itertools.count(1)
+
+    def spoilt() -> bytes:
+        data = read()
+        return change(data) if data and next(pieces) % every == 0 else data
+
+    board.read = spoilt
 
 
 def read_some(descriptor: int) -> bytes:

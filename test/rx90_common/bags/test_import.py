@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 from bag_making import joint_state, write_ros2
 from processes import files_up_to
 from rosbags.highlevel import AnyReader
@@ -290,7 +291,21 @@ def test_tables_are_what_others_read(bag: Path, tmp_path: Path) -> None:
     assert frame[names].to_numpy().tobytes() == series.position.tobytes()
 
 
-@pytest.mark.parametrize("name", ["one.csv", "one.parquet", "folder"])
+def test_npz_arrays_go_to_matlab(bag: Path, tmp_path: Path) -> None:
+    """Arrays of a topic stand in an NPZ file under names that MATLAB takes; savemat and loadmat give its numbers."""
+    export_bag(bag, tmp_path / "j.npz", topics=["joint_states"])
+    with np.load(tmp_path / "j.npz") as arrays:
+        assert set(arrays) == {"names", "stamp_ns", "time_s", "position_rad", "velocity_rad_s", "effort_Nm"}
+        scipy.io.savemat(tmp_path / "j.mat", dict(arrays))
+    loaded = scipy.io.loadmat(tmp_path / "j.mat")
+    series = read_bag(bag)["joint_states"]
+    assert series.velocity is not None
+    assert loaded["velocity_rad_s"].tobytes(order="C") == series.velocity.tobytes()
+    assert loaded["stamp_ns"].ravel().tolist() == series.stamp_ns.tolist()
+    assert [str(name).strip() for name in loaded["names"]] == list(NAMES)
+
+
+@pytest.mark.parametrize("name", ["one.npz", "one.csv", "one.parquet", "folder"])
 def test_a_full_disk_leaves_nothing(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
     """Where a table has no room, here by a limit of the size of files: 3, one line, nothing left, and no bus error."""
     if name.endswith("parquet"):

@@ -114,10 +114,7 @@ WRITTEN = {
         "rx90 run nowhere",
         "rx90 sweep run nowhere",
     ],
-    "--report": [
-        "rx90 identify compare nowhere",
-        "rx90 program engine nowhere",
-    ],
+    "--report": ["rx90 identify compare nowhere", "rx90 program engine nowhere"],
     "": ["rx90 bag import --signals nowhere nowhere"],
 }
 """By what is written, the commands that write it, with inputs that there are not."""

@@ -38,15 +38,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("words", "complaint"),
     [
         ("compare a off --tolerance joint_states:joint_9:position=1", "joint_9, which no compared topic has"),
-        (
-            "compare a off --align 1e999999",
-            "--align is '1e999999'; accepted: start, trajectory, or a time in s",
-        ),
+        ("compare a off --align 1e999999", "--align is '1e999999'; accepted: start, trajectory, or a time in s"),
         ("compare a a --align trajectory", "no trajectory in it; accepted: a bag with rx90_controller/trajectory"),
         ("plot a --topic joints", "no topic /joints; JointState topics: /joint_states"),
         ("plot a --output mine.html", "mine.html exists; accepted: another name, or --force"),
         ("export more --output x.csv", "x.csv would hold /joint_states, /motor_states; accepted: one topic"),
-        ("export a --output x.mat", "x.mat: the suffix says the format; accepted: .csv, .parquet, or none"),
+        ("export a --output x.mat", "x.mat: the suffix says the format; accepted: .csv, .parquet, .npz, or none"),
         ("record -o taken", "taken exists; accepted: a new name"),
         ("record -o new 'joint states'", "topic 'joint states': no name that ROS accepts"),
         ("record -o new a /a", "topic /a stands twice; accepted: each topic once"),

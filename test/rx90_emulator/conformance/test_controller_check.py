@@ -122,11 +122,12 @@ def nominal(shipped: Setup, tmp_path: Path) -> Nominal:
     return Nominal(shipped, tmp_path)
 
 
-def record_of(case: Case, position: Array) -> Record:
-    """Return the record of a run in which the arm took these positions, without torque."""
+def record_of(case: Case, position: Array, torque: Array | float = 0.0) -> Record:
+    """Return the record of a run in which the arm took these positions with these torques of the joints."""
     record, drives = Record(case), case.setup.drives
-    for tick, motors in enumerate(position @ drives.turning.turns.T * drives.gear):
-        record.note(tick, motors, np.zeros(len(motors)))
+    motors = np.broadcast_to(torque, position.shape) @ np.linalg.inv(drives.turning.turns) / drives.gear
+    for tick, place in enumerate(position @ drives.turning.turns.T * drives.gear):
+        record.note(tick, place, motors[tick])
     return record
 
 
@@ -162,11 +163,7 @@ def test_hunting_and_ripple_have_their_size(nominal: Nominal) -> None:
     case = CASES["rest"](nominal, "rest")
     times = np.arange(case.ticks) * case.setup.rates.period
     position = exact(case) + 2e-3 * np.abs((times / 0.4) % 1.0 - 0.5)[:, None]
-    run, drives = Record(case), case.setup.drives
-    torque = 3.0 * np.sin(2 * np.pi * 200.0 * times)[:, None] * np.ones(6)
-    motors = torque @ np.linalg.inv(drives.turning.turns) / drives.gear
-    for tick, row in enumerate(position @ drives.turning.turns.T * drives.gear):
-        run.note(tick, row, motors[tick])
+    run = record_of(case, position, 3.0 * np.sin(2 * np.pi * 200.0 * times)[:, None])
     values = {(row.quantity, row.joint): row.value for row in CaseResult(run, run).findings}
     for name in case.setup.robot.joint_names:
         assert values["hunting", name] == pytest.approx(1e-3, rel=0.01)

@@ -111,30 +111,6 @@ def test_joins_leave_the_model_as_it_is(shipped: Setup) -> None:
     assert np.abs(np.diff(friction, axis=0)).max() < 6.0
 
 
-def test_the_controller_of_the_nodes_feeds_forward_the_same_bits(shipped: Setup, tmp_path: Path) -> None:
-    """Ticked from outside, as the nodes do, plant and controller give the closed loop's commands, over joins too."""
-    setup = by_model(with_parts(shipped, "maxwell_slip", tmp_path / "friction.yaml"))
-    ticks, motions = 2800, commands(setup)
-    run = simulate_commands(setup, motions, HOME, ticks * setup.rates.period, record_fast=True)
-    plant, controller = setup.plant(), setup.cs7b()
-    plant.reset(HOME)
-    controller.reset(plant.motor_states()[0])
-    waiting = list(motions)
-    sent = np.empty((ticks, 6))
-    for k in range(ticks):
-        while waiting and 4 * waiting[0].start == k:
-            start, points, _ = waiting.pop(0)
-            if points is None:
-                controller.trajectory.stop(start, start)
-            else:
-                controller.trajectory.accept(points, start, start)
-        position, speed, _ = plant.motor_states()
-        sent[k] = controller.step(position, speed)
-        plant.step(controller.command)
-    assert run.fast is not None
-    assert np.array_equal(sent, run.fast.motor_commands)
-
-
 def test_a_sweep_switches_the_parts(shipped: Setup) -> None:
     """By its path each part is switched on alone, and the plant's parameters leave the controller's model as it is."""
     law = with_parameters(shipped, {"controller.feed_forward.friction_model": True}).cs7b().law[0]

@@ -159,9 +159,6 @@ SPLINES = {
         3, [0, 0, 0, 0, 0.01, 0.02, 50, 50.5, 50.5, 50.5, 50.5][:11], None, 0,
     ),
     "weights": ([(0, 0, 0), (50, 0, 0), (50, 50, 0), (100, 50, 0)], 3, [0, 0, 0, 0, 1, 1, 1, 1], [1, 40, 40, 1], 0),
-    "far weights": (
-        [(0, 0, 0), (20, 40, 0), (60, -20, 0), (100, 10, 0)], 3, [0, 0, 0, 0, 1, 1, 1, 1], [1, 50, 0.02, 1], 0,
-    ),
     "a cusp": ([(0, 0, 0), (100, 100, 0), (0, 100, 0), (100, 0, 0)], 3, [0, 0, 0, 0, 1, 1, 1, 1], None, 0),
     "a closed one with a corner where it begins": (
         [(0, 0, 0), (60, 50, 0), (60, -50, 0), (0, 0, 0)], 3, [0, 0, 0, 0, 1, 1, 1, 1], None, 0,
@@ -176,10 +173,6 @@ SPLINES = {
     "a uniform one that is closed": (
         [(0, 0, 0), (50, 0, 0), (50, 50, 0), (0, 50, 0), (0, 0, 0), (50, 0, 0), (50, 50, 0)],
         3, [-3, -2, -1, 0, 1, 2, 3, 4, 5, 6, 7], None, 0,
-    ),
-    "weights, and knots before its begin": (
-        [(0, 0, 0), (20, 40, 0), (60, -20, 0), (100, 10, 0), (120, 0, 0)],
-        3, [0, 1, 2, 3, 4, 5, 5, 5, 5], [1, 5, 1, 3, 1], 0,
     ),
     "a polygon": ([(0, 0, 0), (50, 0, 0), (50, 50, 0), (90, 70, 0)], 1, [0, 0, 1, 5, 6, 6], None, 2),
 }  # fmt: skip
@@ -223,10 +216,7 @@ def test_dxf_spline_that_takes_too_many_points_is_refused(tmp_path: File, drawin
 
 UNITS_OF_DRAWINGS = {
     "no header": ("", ""),
-    "a header without a unit": (
-        "  0\nSECTION\n  2\nHEADER\n  9\n$ACADVER\n  1\nAC1009\n  0\nENDSEC\n",
-        "",
-    ),
+    "a header without a unit": ("  0\nSECTION\n  2\nHEADER\n  9\n$ACADVER\n  1\nAC1009\n  0\nENDSEC\n", ""),
     "no header, but a comment": ("999\n$INSUNITS\n", ""),
     "feet": ("  0\nSECTION\n  2\nHEADER\n  9\n$INSUNITS\n 70\n     2\n  0\nENDSEC\n", "is in Feet; read in mm"),
     "centimetres": ("  0\nSECTION\n  2\nHEADER\n  9\n$INSUNITS\n 70\n     5\n  0\nENDSEC\n", "is in cm; read in mm"),
@@ -329,12 +319,7 @@ def test_dxf_that_is_none_is_one_line(tmp_path: File, text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "part", "count"),
-    [
-        ("a.csv", "0,0,0\n", 500_001),
-        ("a.csv", "1", 70_000),
-        ("a.dxf", "x", 1 + (8 << 20)),
-    ],
+    ("name", "part", "count"), [("a.csv", "0,0,0\n", 500_001), ("a.csv", "1", 70_000), ("a.dxf", "x", 1 + (8 << 20))]
 )
 def test_a_file_that_would_take_the_memory_is_refused_unread(tmp_path: File, name: str, part: str, count: int) -> None:
     """By its bytes, its lines, and the characters of one."""

@@ -103,11 +103,7 @@ def test_values_of_task_and_links(shipped: Setup, task: LineTask, catalogue: Cat
     ("path", "value", "said"),
     [
         ("friction.joint_2.tau_c", -1.0, "friction.joint_2: tau_c.positive is -1.0; accepted"),
-        (
-            "friction.joint_2.ripple.motor_amplitude[0]",
-            0.9,
-            "joint_amplitude is '1.05'; accepted: amplitudes that",
-        ),
+        ("friction.joint_2.ripple.motor_amplitude[0]", 0.9, "joint_amplitude is '1.05'; accepted: amplitudes that"),
         ("controller.feed_forward.coulomb", 0.5, "'controller.feed_forward.coulomb': a value is 0.5; accepted: true"),
         ("drives.elasticity.backlash[1]", 1e-3, "drives: elasticity.backlash[1] is 0.001; accepted: 0"),
         ("arm.link_2.mass", 0.0, "arm.link_2.mass is 0 kg"),
@@ -130,10 +126,7 @@ def test_wrong_paths_and_values_are_refused(parted: Setup, path: str, value: flo
 
 @pytest.mark.parametrize(
     ("prefix", "kind", "without"),
-    [
-        ("friction.joint_5_6", FrictionElement, set(PART_NAMES)),
-        ("task", LineTask, {"branch", "start_posture"}),
-    ],
+    [("friction.joint_5_6", FrictionElement, set(PART_NAMES)), ("task", LineTask, {"branch", "start_posture"})],
 )
 def test_every_number_has_a_path(catalogue: Catalogue, prefix: str, kind: type, without: set[str]) -> None:
     """No parameter of friction, drives, controller and line can be forgotten in the table of paths."""

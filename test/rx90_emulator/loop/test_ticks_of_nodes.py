@@ -144,10 +144,7 @@ def set_points(k: int) -> tuple[Array, Array]:
     """Return place and velocity of the rest-to-rest quintic from START to GOAL at position tick k."""
     s = min(k * RATIO * T / SECONDS, 1.0)
     way = GOAL - START
-    return (
-        START + way * (10 * s**3 - 15 * s**4 + 6 * s**5),
-        way * (30 * s**2 - 60 * s**3 + 30 * s**4) / SECONDS,
-    )
+    return (START + way * (10 * s**3 - 15 * s**4 + 6 * s**5), way * (30 * s**2 - 60 * s**3 + 30 * s**4) / SECONDS)
 
 
 class Controller:
