@@ -12,6 +12,7 @@ the fourth order, and each step is corrected by the shortest Newton steps back t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,10 +30,10 @@ from rx90_common.description.inverse import (
     solve_anywhere,
     solve_near,
 )
-from rx90_common.description.kinematics import Pose, bias_acceleration, jacobian
+from rx90_common.description.kinematics import Pose, bias_acceleration, forward, jacobian
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.rotations import length, solved
-from rx90_controller.lines.task import TipTask
+from rx90_controller.lines.task import LineTask, TipTask
 from rx90_controller.trajectory.spline import interpolate
 
 FEWEST, MOST = 5, 7
@@ -236,6 +237,19 @@ class Postures:
 
 _REACHABLE = "accepted: a pose that the arm can take"
 _OUT_OF_REACH = f"out of reach; {_REACHABLE}"
+
+
+def task_from(robot: RobotModel, posture: Sequence[float], end: Sequence[float]) -> LineTask:
+    """Return the line from an arm's tool position in a posture, rad, to a place, m, with constant orientation.
+
+    Raises:
+        LineError: if these do not make a line.
+    """
+    if len(posture) != len(robot.joint_names):
+        raise LineError(_wrong_count(len(posture), len(robot.joint_names)))
+    pose = forward(robot.chain, np.array(posture))
+    turn = tuple(pin.rpy.matrixToRpy(pose.rotation).tolist())
+    return LineTask(tuple(pose.position.tolist()), tuple(end), start_rpy=turn, end_rpy=turn)
 
 
 def _wrong_count(given: int, joints: int) -> str:

@@ -36,7 +36,7 @@ points it down. example: rx90 line --start 0.6 -0.2 0.2 --end 0.6 0.2 0.2 --spee
 # s, without --timeout: for nodes, and more for one that compiles when it starts
 _TIMEOUT = 30.0
 _STARTING = 120.0
-_PLAIN_OPTIONS = ("start", "end", "speed", "acceleration")
+_PLAIN_OPTIONS = ("start", "end", "speed", "acceleration", "start_posture")
 """Options that go into the task as they are."""
 
 
@@ -57,6 +57,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     motion.add_argument(
         "--tool-rpy", type=FINITE, nargs=3, metavar=rpy, help="deg, fixed axes (0 180 0: down)"
     )
+    motion.add_argument("--start-posture", type=FINITE, nargs="+", metavar="RAD",
+                         help="of an arm without a spherical wrist: joint positions near which it starts (middle of "
+                         "the ranges); without --start the line starts there, with the tool as it then is")  # fmt: skip
     add_robot_arguments(parser, "urdf", "tool", "controller")
     add_sending(parser)
 
@@ -124,12 +127,16 @@ def plan_and_send(
         _send(plan, limits, correction, options)
 
 
-def _task(options: argparse.Namespace, files: RobotFiles, _: RobotModel) -> LineTask:
+def _task(options: argparse.Namespace, files: RobotFiles, robot: RobotModel) -> LineTask:
     """Return the task of the file, or of start and end alone, with the options laid over it."""
+    from rx90_controller.lines.postures import task_from
     from rx90_controller.lines.task import LineTask, load_task
 
-    if options.task is None and options.start is not None and options.end is not None:
+    alone = options.task is None and options.end is not None
+    if alone and options.start is not None:
         task = LineTask(tuple(options.start), tuple(options.end))
+    elif alone and options.start_posture is not None:
+        task = task_from(robot, options.start_posture, options.end)
     else:
         task = load_task(files.required("task"))
     given: dict[str, Any] = {

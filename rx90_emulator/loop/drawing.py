@@ -6,6 +6,7 @@ to the next, so close that the curve through these points stays within SPLINE_TO
 
 from __future__ import annotations
 
+import csv
 import io
 import math
 import re
@@ -19,12 +20,13 @@ import numpy as np
 from pydantic import Field
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, Rx90Error, warn_caller
+from rx90_common.base.errors import ConfigError, Rx90Error, located, warn_caller
 from rx90_common.base.models import FileModel, Triple, quantity
 from rx90_common.base.quoting import counted, one_line, plain, quoted
 from rx90_common.base.text_lines import read_bytes, read_lines
 from rx90_common.description.rotations import angle_between, length, rpy_rotation
 from rx90_controller.lines.task import Angles, radians
+from rx90_controller.paths.curve import KINK
 from rx90_controller.paths.path import Segment
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 25.4e-3}
@@ -41,7 +43,8 @@ _ROUNDS = 40  # in which an interval between points may be halved
 # rad, between secants of a spline before and behind a knot, each over _SECANT of its span
 _CORNER = 0.02
 _SECANT = 1e-3
-_TITLE = re.compile(r'[\s"]*(\w+)\s*(?:\[\s*(\w+)\s*\])?[\s"]*$')
+_SHARPEST = math.radians(168.0)  # turn at a corner that a zone rounds
+_TITLE = re.compile(r"\s*(\w+)\s*(?:\[\s*(\w+)\s*\])?\s*")
 
 
 def read_columns(file: Path, names: Sequence[str]) -> tuple[Array, list[str | None]]:
@@ -54,16 +57,20 @@ def read_columns(file: Path, names: Sequence[str]) -> tuple[Array, list[str | No
     Returns:
         The numbers, (n, columns), and the unit that each title has.
     """
-    lines = [line.strip() for line in read_lines(file)]
-    lines = [line for line in lines if line.strip(",;\t") and not line.startswith("#")]
-    head = lines[0] if lines else ""
-    delimiter = next((mark for mark in ",;\t" if mark in head), None)
-    titles = [_TITLE.match(cell) for cell in head.split(delimiter)]
+    lines = [
+        (number, line)
+        for number, line in enumerate(read_lines(file), 1)
+        if line.strip(",; \t\n") and not line.lstrip().startswith("#")
+    ]
+    head = lines[0][1] if lines else ""
+    delimiter = next((mark for mark in ",;\t" if mark in head), " ")
+    titles = [_TITLE.fullmatch(cell) for cell in _cells(head, delimiter)]
     known = [title[1].lower() if title else "" for title in titles]
     asked = ", ".join(names)
-    columns = None
+    columns = list(range(len(names)))
     units: list[str | None] = [None] * len(names)
-    if set(known) & set(names):
+    titled = not set(known).isdisjoint(names)
+    if titled:
         if any(known.count(name) != 1 for name in names):
             raise ConfigError(
                 f"{plain(file)}: the titles {quoted(head)}; accepted: the columns {asked} once"
@@ -71,15 +78,25 @@ def read_columns(file: Path, names: Sequence[str]) -> tuple[Array, list[str | No
         columns = [known.index(name) for name in names]
         units = [title[2] for k in columns if (title := titles[k])]
         del lines[0]
-    if not lines:
-        return np.empty((0, len(names))), units
-    try:
-        table = np.loadtxt(lines, delimiter=delimiter, usecols=columns, ndmin=2, quotechar='"')
-        if table.shape[1] != len(names) or not np.isfinite(table).all():
-            raise ValueError(f"{table.shape[1]} columns, finite: {np.isfinite(table).all()}")
-    except ValueError as error:
-        raise ConfigError(f"{plain(file)}: {error}; accepted: finite numbers, {asked}") from error
-    return np.asarray(table), units
+    rows = []
+    for number, line in lines:
+        cells = _cells(line, delimiter)
+        try:
+            row = [float(cells[k]) for k in columns]
+            good = all(map(math.isfinite, row)) and (titled or len(cells) == len(names))
+        except (ValueError, IndexError):
+            good = False
+        if not good:
+            raise ConfigError(
+                f"{plain(file)}: line {number} is {quoted(', '.join(cells))}; accepted: finite numbers, {asked}"
+            )
+        rows.append(row)
+    return np.array(rows, dtype=np.float64).reshape(-1, len(names)), units
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    cells = next(csv.reader([line.strip("\n")], delimiter=delimiter, skipinitialspace=True), [])
+    return [cell for cell in cells if cell.strip()] if delimiter == " " else cells
 
 
 class Drawing(FileModel):
@@ -104,6 +121,7 @@ class Drawing(FileModel):
         Field(description="Points of a CSV file as the corners of lines, or on a spline."),
     ] = "spline"
     layer: Annotated[str | None, Field(description="Layer of the drawing; all if left out.")] = None
+    zone: Annotated[float, quantity("m", "Zone at each corner.", ge=0.0)] = 0.0
 
     @property
     def file(self) -> Path:
@@ -127,7 +145,7 @@ class Drawing(FileModel):
         def placed(point: Any) -> tuple[float, ...]:
             return tuple((turn @ np.multiply(point, UNITS[unit]) + self.origin).tolist())
 
-        laid = tuple(
+        laid = [
             replace(
                 segment,
                 points=tuple(map(placed, segment.points)),
@@ -135,17 +153,36 @@ class Drawing(FileModel):
                 normal=tuple((turn @ segment.normal).tolist()),
             )
             for segment in segments
-        )
-        return placed(start), laid
+        ]
+        return placed(start), self._rounded(placed(start), laid)
+
+    def _rounded(self, start: tuple[float, ...], segments: list[Segment]) -> tuple[Segment, ...]:
+        """Return the segments with a zone at each corner, up to half of a neighbour, but where the path turns back."""
+        if self.zone == 0.0:
+            return tuple(segments)
+        pieces = []
+        for number, segment in enumerate(segments):
+            with located(f"{plain(self.file)}: segment {number} ({segment.kind})"):
+                pieces.append(segment.piece(start))
+            start = segment.points[-1]
+        rounded = []
+        for segment, (piece, after) in zip(segments, pairwise(pieces), strict=False):
+            ends = piece.at(np.array([piece.length]), 1)[0], after.at(np.zeros(1), 1)[0]
+            corner = KINK < angle_between(*ends) < _SHARPEST
+            most = 0.5 * min(piece.length, after.length) if corner else 0.0
+            rounded.append(replace(segment, zone=min(self.zone, most)))
+        return (*rounded, segments[-1])
 
     def _refuse(self, text: str) -> NoReturn:
         raise ConfigError(f"{plain(self.file)}: {text}")
 
     def _csv(self) -> tuple[str, Any, list[Segment]]:
         table, units = read_columns(self.file, "xyz")
-        if len(set(units)) > 1:
+        if len(set(units)) > 1 or units[0] not in (None, *UNITS):
             named = ", ".join(str(unit) for unit in units)
             self._refuse(f"units {named}; accepted: one of {', '.join(UNITS)} for all")
+        if None not in (units[0], self.unit) and units[0] != self.unit:
+            self._refuse(f"is in {units[0]}, unit is {self.unit}; accepted: the same")
         unit = self._unit(units[0])
         start, *rows = [tuple(row) for row in table.tolist()] or [()]
         if not rows:

@@ -8,10 +8,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Generic, TypeAlias, TypeVar
+from typing import Annotated, Any, Generic, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -37,8 +38,13 @@ MOST_VALUES = 1_000_000
 MOST_RUNS = 10_000_000
 LARGEST_SEED = 2**63 - 1
 _ROLES = (*MODEL_FILES, "task")
+_LEAST_SHARE = 1e-3
+"""Of a normal distribution between the bounds: where less is left, it is no longer computed exactly."""
 _SPACES = "[v1, v2, ...], {linspace: [start, stop, count]} or {geomspace: [start, stop, count]}"
-_DRAWN = "{uniform: [low, high]}, {loguniform: [low, high]} or {normal: {mean: x, deviation: x}}"
+_DRAWN = (
+    "{uniform: [low, high]}, {loguniform: [low, high]} or "
+    "{normal: {mean: x, deviation: x, low: x, high: x}} (the bounds may be left out)"
+)
 
 _Pair: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=2, max_length=2)]
 _Value: TypeAlias = Annotated[
@@ -72,15 +78,39 @@ class SpacedValues(OneOf):
         if self.geomspace is not None and not (start > 0.0 and stop > 0.0):
             raise ValueError(f"geomspace from {start:g} to {stop:g}; accepted: both > 0")
         spaced = np.linspace if self.geomspace is None else np.geomspace
-        with np.errstate(all="ignore"):  # runs whose values are not finite say so
+        with np.errstate(all="ignore"):  # values that are not finite are refused
             return tuple(spaced(start, stop, int(count)).tolist())
 
 
 class NormalDistribution(FileModel):
-    """A normal distribution."""
+    """A normal distribution, cut off at the bounds."""
 
     mean: Annotated[float, Field(description="Mean.")]
     deviation: Annotated[float, Field(gt=0.0, description="Standard deviation.")]
+    low: Annotated[float | None, Field(description="Lower bound; none if left out.")] = None
+    high: Annotated[float | None, Field(description="Upper bound; none if left out.")] = None
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Return lower and upper bound."""
+        return (
+            -math.inf if self.low is None else self.low,
+            math.inf if self.high is None else self.high,
+        )
+
+    def shares(self) -> tuple[float, float]:
+        """Return which shares of the whole distribution lie below the bounds."""
+        from scipy.special import ndtr  # takes a while
+
+        low, high = ((bound - self.mean) / self.deviation for bound in self.bounds)
+        return float(ndtr(low)), float(ndtr(high))
+
+    def quantile(self, share: float) -> float:
+        """Return the value below which `share` of the distribution lies."""
+        from scipy.special import ndtri
+
+        first, last = self.shares()
+        return self.mean + self.deviation * float(ndtri(first + share * (last - first)))
 
 
 class DrawnValues(OneOf):
@@ -96,26 +126,39 @@ class DrawnValues(OneOf):
     ] = None
     normal: NormalDistribution | None = None
 
+    @property
+    def bounds(self) -> tuple[float, ...]:
+        """Return lower and upper bound."""
+        if self.normal is not None:
+            return self.normal.bounds
+        return self.uniform or self.loguniform or ()
+
     @model_validator(mode="after")
     def _check_bounds(self) -> DrawnValues:
-        low, high = self.uniform or self.loguniform or (0.0, math.inf)
+        low, high = self.bounds
         if not low < high:
             raise ValueError(
                 f"the bounds are {low:g} and {high:g}; accepted: a lower one below the higher one"
             )
         if self.loguniform is not None and low <= 0.0:
             raise ValueError(f"loguniform from {low:g}; accepted: a lower bound > 0")
+        if self.normal is not None:
+            first, last = self.normal.shares()
+            if last - first < _LEAST_SHARE:
+                raise ValueError(
+                    f"the bounds {low:g} and {high:g} leave {last - first:.2g} of the normal distribution "
+                    f"({self.normal.mean:g}, {self.normal.deviation:g}); accepted: at least {_LEAST_SHARE:g}"
+                )
         return self
 
     def quantile(self, share: float) -> float:
         """Return the value below which `share` of the distribution lies."""
+        low, high = self.bounds
         if self.normal is not None:
-            from scipy.special import ndtri  # takes a while
-
-            return self.normal.mean + self.normal.deviation * float(ndtri(share))
-        low, high = self.uniform or self.loguniform or ()
-        value = low + share * (high - low)
-        if self.loguniform is not None:
+            value = self.normal.quantile(share)
+        elif self.uniform is not None:
+            value = low + share * (high - low)
+        else:
             value = low * math.exp(share * math.log(high / low))
         return min(high, max(low, value))
 
@@ -148,6 +191,8 @@ class SweptParameter(OneOf, Generic[_Space]):
 class GridParameter(SweptParameter[Listed]):
     """A quantity with a list of values; its name is the path that it sets, unless there are paths."""
 
+    each: Annotated[Literal[False], Field(description="Of random draws only.")] = False
+
     @cached_property
     def space(self) -> tuple[Value, ...]:
         """Return the values, in their order."""
@@ -156,7 +201,11 @@ class GridParameter(SweptParameter[Listed]):
 
     @model_validator(mode="after")
     def _check_values(self) -> GridParameter:
-        _ = self.space
+        for value, count in Counter(self.space).items():
+            if not math.isfinite(value):
+                raise ValueError(f"a value is {value}; accepted: finite numbers, or true and false")
+            if count > 1:
+                raise ValueError(f"the value {value} stands twice; accepted: once")
         return self
 
 
@@ -213,6 +262,10 @@ class Block(FileModel):
         if self.random is not None and self.draws is None:
             raise ValueError(
                 f"draws is missing beside random; accepted: an integer in [1, {MOST_RUNS}]"
+            )
+        if self.random is None and self.draws not in (None, 1):
+            raise ValueError(
+                f"draws is {self.draws} without random parameters; accepted: parameters to draw"
             )
         return self
 

@@ -21,6 +21,7 @@ from rx90_common.description.joint_model import robot_of_urdf
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines.plan import LinePlan, describe_line, plan_line
 from rx90_controller.lines.task import LineTask, load_task
+from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.setup import Setup
 
 WAY = np.array([0.12, 0.25, -0.1])  # m
@@ -205,3 +206,23 @@ def test_what_no_line_is_for_is_refused(tmp_path: Path, joints: int, change: dic
     robot = robot_of_urdf(write_urdf(tmp_path, joints), JOINTS[:joints])
     with pytest.raises(LineError, match=re.escape(said)):
         plan_line(robot, replace(_line(robot), **change))  # type: ignore[arg-type]
+
+
+def test_the_command_plans_from_a_posture(
+    shipped: Setup, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`rx90 line --start-posture` without --start begins in that posture, of an arm without a closed form or a task."""
+    text = shipped.files.urdf.read_text(encoding="utf-8")
+    last = '<origin xyz="0 0 0.085"/>
+    <parent link="link_5"/>'
+    assert text.count(last) == 1
+    file = tmp_path / "aside.urdf"
+    file.write_text(text.replace(last, last.replace("0 0 0.085", "0.03 0.01 0.085")), encoding="utf-8")
+    posture = (0.1, 0.4, 0.9, 0.3, 0.8, -0.2)
+    place, _ = _pose(robot_of_urdf(file), np.array(posture))
+    end = " ".join(f"{value:.6f}" for value in np.add(place, (0.02, 0.03, 0.01)))
+    words = f"--urdf {file} --tool none --start-posture {' '.join(map(str, posture))} --end {end} --dry-run"
+    assert run("rx90 line", words.split()) == 0
+    rows = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines()}
+    starts = [float(rows[f"joint_{k}"][0]) for k in range(1, 7)]
+    assert starts == pytest.approx(np.degrees(posture), abs=0.01)

@@ -27,14 +27,19 @@ def _read(folder: File, name: str, text: str, **more: Any) -> Path:
 
 
 def test_a_drawing_is_laid_where_its_origin_and_axes_are(tmp_path: File, drawing: Any) -> None:
-    """A quarter turn about z and a shift: x becomes y; arcs keep their sense."""
+    """A quarter turn about z and a shift: x becomes y; arcs keep their sense, and a rounded corner its zone."""
     space = drawing.modelspace()
     space.add_arc((0.0, 0.0), 10.0, 0.0, 90.0)
     space.add_line((0.0, 10.0), (-20.0, 10.0))
-    turned = _dxf(tmp_path, drawing, origin=(0.5, 0.1, 0.2), rpy_degrees=(0.0, 0.0, 90.0))
+    place = {"origin": (0.5, 0.1, 0.2), "rpy_degrees": (0.0, 0.0, 90.0)}
+    turned = _dxf(tmp_path, drawing, zone=0.002, **place)
     ends = turned.curve.at(np.array([0.0, turned.length]))
     np.testing.assert_allclose(ends, [(0.5, 0.11, 0.2), (0.49, 0.08, 0.2)], atol=1e-9)
     assert turned.stops == (0.0, turned.length), "the arc goes over into the line"
+    space.add_line((-20.0, 10.0), (-20.0, 13.0))
+    corner = _dxf(tmp_path, drawing, zone=0.002, **place)
+    assert corner.segments[1].zone == pytest.approx(0.0015), "half of the shorter neighbour"
+    assert len(corner.stops) == 2
 
 
 CSV = {
@@ -58,11 +63,13 @@ def test_points_of_a_table(tmp_path: File, name: str) -> None:
 
 REFUSED = {
     "no unit": ("p.csv", "1 2 3\n4 5 6\n", {}, "names no unit; accepted: with unit, one of m, mm"),
+    "another unit": ("p.csv", "x [mm],y [mm],z [mm]\n1,2,3\n4,5,6\n", {"unit": "m"}, "is in mm, unit is m"),
+    "an unknown unit": ("p.csv", "x [ft],y [ft],z [ft]\n1,2,3\n4,5,6\n", {"unit": "m"}, "units ft, ft, ft; accepted"),
     "two units": ("p.csv", "x [mm],y [m],z [mm]\n1,2,3\n4,5,6\n", {"unit": "m"}, "units mm, m, mm; accepted: one of"),
-    "a gap": ("p.csv", "x [m],y [m],z [m]\n1,2,3\n4,,6\n", {}, "'' to float64 at row 1.* finite numbers, x, y, z"),
-    "not a number": ("p.csv", "1 2 nan\n", {"unit": "m"}, "finite: False; accepted: finite numbers"),
-    "a column too much": ("p.csv", "1 2 3 4\n", {"unit": "m"}, "4 columns, .*; accepted: finite numbers, x, y, z"),
-    "a stray quotation mark": ("p.csv", 'x,y,z\n"1,2,3' + "\n1,2,3" * 30_000, {"unit": "m"}, "accepted: finite"),
+    "a gap": ("p.csv", "x [m],y [m],z [m]\n1,2,3\n4,,6\n", {}, "line 3 is '4, , 6'; accepted: finite numbers, x, y, z"),
+    "not a number": ("p.csv", "# a\n\n1 2 nan\n", {"unit": "m"}, "line 3 is '1, 2, nan'"),
+    "a column too much": ("p.csv", "1 2 3 4\n", {"unit": "m"}, "line 1 is '1, 2, 3, 4'; accepted"),
+    "a stray quotation mark": ("p.csv", 'x,y,z\n"1,2,3' + "\n1,2,3" * 30_000, {"unit": "m"}, "line 2 is '1,2,3'"),
     "twice": ("p.csv", "1 2 3\n1 2 3\n", {"unit": "m"}, r"starts and ends at \(1, 2, 3\) m"),
     "one point": ("p.csv", "1 2 3\n", {"unit": "m"}, "holds 1 point; accepted: two or more"),
     "another kind": ("p.svg", "", {}, "ends with '.svg'; accepted: .csv, .dxf"),

@@ -35,7 +35,7 @@ blocks:
     random:
       friction.*.c2: {factor: {uniform: [0.5, 2.0]}, each: true}
       drives.rotor_inertia[1]: {value: {loguniform: [1.0, 5.0]}}
-      controller.kp[*]: {factor: {normal: {mean: 1.0, deviation: 0.1}}}
+      controller.kp[*]: {factor: {normal: {mean: 1.0, deviation: 0.1, low: 0.5}}}
     draws: 20
 """
 
@@ -46,12 +46,14 @@ blocks:
         ({"uniform": [-1.0, 3.0]}, stats.uniform(-1.0, 4.0)),
         ({"loguniform": [1e-3, 10.0]}, stats.loguniform(1e-3, 10.0)),
         ({"normal": {"mean": 1.0, "deviation": 0.2}}, stats.norm(1.0, 0.2)),
+        ({"normal": {"mean": 1.0, "deviation": 0.2, "low": 0.7}}, stats.truncnorm(-1.5, np.inf, 1.0, 0.2)),
+        ({"normal": {"mean": 1.0, "deviation": 0.2, "low": 0.9, "high": 1.6}}, stats.truncnorm(-0.5, 3.0, 1.0, 0.2)),
     ],
 )
 def test_quantiles(given: dict[str, Any], oracle: Any) -> None:
     """The quantiles are SciPy's, finite and within the bounds even at the ends of the generator's range."""
     distribution = DrawnValues.model_validate(given)
-    low, high = given.get("uniform") or given.get("loguniform") or (-math.inf, math.inf)
+    low, high = distribution.bounds
     for share in SHARES:
         value = distribution.quantile(share)
         assert math.isfinite(value)
@@ -76,7 +78,7 @@ def test_everything_is_read(tmp_path: Path) -> None:
     assert [p.space for p in block.listed.values()] == [(0.5, 1.0, 2.0), (0.1, 0.2), (True, False)]
     uniform, loguniform, normal = (p.space for p in block.drawn.values())
     assert (uniform.uniform, loguniform.loguniform) == ((0.5, 2.0), (1.0, 5.0))
-    assert normal.normal == NormalDistribution(mean=1.0, deviation=0.1)
+    assert normal.normal == NormalDistribution(mean=1.0, deviation=0.1, low=0.5)
     assert [p.each for p in block.drawn.values()] == [True, False, False]
     assert block.listed["switches"].paths == ("controller.feed_forward.*",)
     assert plan.runs == 3 * 2 * 2 * 20
@@ -87,13 +89,7 @@ def test_hash_is_of_the_content(tmp_path: Path) -> None:
     hashes = []
     for folder, text, more in (
         ("a", FULL, ""),
-        (
-            "b",
-            FULL.replace("deviation: 0.1", "deviation: 0.1, note: mine").replace(
-                "2.0]}, each", "2.0], source: me}, each"
-            ),
-            "",
-        ),
+        ("b", FULL.replace("low: 0.5", "low: 0.5, note: mine").replace("2.0]}, each", "2.0], source: me}, each"), ""),
         ("c", FULL.replace("5", "6", 1), ""),
         ("d", FULL, "#"),
     ):
@@ -126,9 +122,11 @@ def test_shipped_and_documented_plans_fit(
     ("block", "said"),
     [
         ("{}", "blocks.a: has no parameters; accepted: one or both of grid, random"),
+        ("{grid: {task.speed: {value: [0.1, 0.1]}}}", "0.1 stands twice"),
         ("{grid: {task.speed: {value: [1], factor: [1]}}}", "has value and factor of value, factor; accepted: one"),
-        ("{grid: {task.speed: {value: [1], each: true}}}", "speed.each is not a known key"),
+        ("{grid: {task.speed: {value: [1], each: true}}}", "speed.each is True; accepted: False"),
         ("{grid: {task.speed: {value: {}}}}", "speed.value is {}; accepted: [v1, v2, ...], {linspace"),
+        ("{grid: {task.speed: {value: {linspace: [-1e308, 1e308, 3]}}}}", "speed: a value is nan; accepted: finite"),
         ("{grid: {task.sped: {value: [1]}}}", "'sped' is unknown (did you mean speed?); accepted there: accel"),
         ("{grid: {friction.*.c0: {factor: [1]}, friction.joint_2.c0: {factor: [1]}}}", "both set friction.joint_2.c0"),
         ("{grid: {x: {paths: [task.speed, task.speed], value: [1]}}}", "set a value twice"),
@@ -136,9 +134,10 @@ def test_shipped_and_documented_plans_fit(
         ("{grid: {controller.feed_forward.coulomb: {factor: [2]}}}", "accepted: value"),
         ("{grid: {x: {paths: [task.speed, 'task.end[0]'], value: [1]}}}", "different units"),
         ("{random: {task.speed: {value: {uniform: [2, 1]}}}, draws: 1}", "bounds are 2 and 1"),
+        ("{grid: {task.speed: {value: [1]}}, draws: 4}", "without random parameters"),
         ("{grid: {task.speed: {value: {geomspace: [0, 1, 3]}}}}", "geomspace from 0 to 1; accepted: both > 0"),
         ("{random: {task.speed: {value: {loguniform: [0, 2]}}}, draws: 1}", "accepted: a lower bound > 0"),
-        ("{random: {task.speed: {value: {normal: {mean: 1, deviation: 0}}}}, draws: 1}", "deviation is 0; accepted"),
+        ("{random: {task.speed: {value: {normal: {mean: 1, deviation: 1e-308, low: 2}}}}, draws: 1}", "; accepted: at"),
     ],
 )  # fmt: skip
 @pytest.mark.filterwarnings("error")
