@@ -208,13 +208,10 @@ def test_what_no_line_is_for_is_refused(tmp_path: Path, joints: int, change: dic
         plan_line(robot, replace(_line(robot), **change))  # type: ignore[arg-type]
 
 
-def test_the_command_plans_from_a_posture(
-    shipped: Setup, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_plans_from_a_posture(shipped: Setup, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """`rx90 line --start-posture` without --start begins in that posture, of an arm without a closed form or a task."""
     text = shipped.files.urdf.read_text(encoding="utf-8")
-    last = '<origin xyz="0 0 0.085"/>
-    <parent link="link_5"/>'
+    last = '<origin xyz="0 0 0.085"/>\n    <parent link="link_5"/>'
     assert text.count(last) == 1
     file = tmp_path / "aside.urdf"
     file.write_text(text.replace(last, last.replace("0 0 0.085", "0.03 0.01 0.085")), encoding="utf-8")
