@@ -55,7 +55,7 @@ class Pair(NamedTuple):
     """The difference of two velocities, per cent of the closed form's final velocity.
 
     Attributes:
-        worst: over the whole ramp.
+        worst, rms: over the whole ramp.
         sliding: the worst from SETTLED after break-away on.
         band: the source's figure for this pair, per cent, None if it gives none.
         within: the difference stays within the band.
@@ -64,6 +64,7 @@ class Pair(NamedTuple):
     first: str
     second: str
     worst: float
+    rms: float
     sliding: float
     band: float | None
     within: bool
@@ -211,10 +212,11 @@ def _pairs(velocities: dict[str, Array], slides: Mask) -> list[Pair]:
     for first, second in combinations(velocities, 2):
         difference = 100.0 * np.abs(velocities[first] - velocities[second]) / final
         worst = float(difference.max())
+        rms = float(np.sqrt(np.mean(difference**2)))
         sliding = float(difference[slides].max(initial=0.0))
         band = SOURCE_BANDS.get(frozenset((first, second)))
         within = band is None or worst <= band
-        pairs.append(Pair(first, second, worst, sliding, band, within))
+        pairs.append(Pair(first, second, worst, rms, sliding, band, within))
     return pairs
 
 

@@ -92,7 +92,8 @@ def identified(
     given = {"problem": problem, "robot": robot, "consistency": consistency, "elements": elements, "bags": bags,
              "compared": bands}  # fmt: skip
     ranges = ((0.05, 2.0),) * len(elements)
-    return SimpleNamespace(**given, arm=arm, date=DATE, notes=(), fitted=SimpleNamespace(speeds=ranges))
+    fitted = SimpleNamespace(speeds=ranges)
+    return SimpleNamespace(**given, arm=arm, unit="Nm", in_currents=(), date=DATE, notes=(), fitted=fitted)
 
 
 @pytest.fixture(scope="module")
@@ -291,7 +292,7 @@ def test_no_absurd_friction_is_written(parameter: str, value: float, deviation: 
     """A friction value that no arm has, or a deviation that is absurd or no number, is refused by name in one line."""
     good = element_of(FrictionElement(tau_c=1.0, tau_s=1.5, omega_s=0.05, delta=1.0, c0=1e4, c1=1.0, c2=0.5))
     robot = SimpleNamespace(fallback_name=None)
-    result: Any = SimpleNamespace(robot=robot, bags=(), date=DATE, elements=[good])
+    result: Any = SimpleNamespace(robot=robot, bags=(), unit="Nm", date=DATE, elements=[good])
     assert "tau_c: 1.0" in friction_text(result, ["a"], {})
     estimates = {**good.estimates, parameter: ParameterEstimate(value, deviation)}
     bad = replace(good, element=good.element.with_parameters({parameter: value}), estimates=estimates)
