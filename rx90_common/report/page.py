@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Final
 
@@ -40,7 +40,9 @@ def _terms() -> Markup:
     return Markup(MarkdownIt("commonmark").enable("table").render("## " + text))
 
 
-def render_page(package: str, template: str, **values: object) -> str:
+def render_page(
+    package: str, template: str, words: Callable[[str], str] = str, **values: object
+) -> str:
     """Return a self-contained HTML page.
 
     In a template, `draw(figures, across)` inserts one figure of Bokeh or several: below each other, or so many side by
@@ -49,6 +51,7 @@ def render_page(package: str, template: str, **values: object) -> str:
     Args:
         package: the package whose folder `templates` holds the template.
         template: its file, which extends `page.html.j2` and fills the blocks title, summary and content.
+        words: changes the page's text outside the figures, such as its units.
         values: for the names in the template; a missing name is an error.
     """
     figures: list[figure] = []
@@ -63,7 +66,7 @@ def render_page(package: str, template: str, **values: object) -> str:
         return Markup(f'<figure class="{kind}">{_NO_SCRIPT}{"".join(places)}</figure>')
 
     page = _environment(package).get_template(template).render(values, draw=draw)
-    page = page.replace(_TERMS, _terms())
+    page = words(page).replace(_TERMS, _terms())
     if not figures:
         return page
     most = thin(figures)

@@ -36,19 +36,19 @@ def _check(options: argparse.Namespace) -> int:
 
     kind = None if options.kind is None else kind_named(options.kind)
     verdict = DONE
-    refused: list[ConfigError] = []
+    refused: list[str] = []
     for path in options.files:
         try:
             files = check_path(path, kind)
         except ConfigError as error:  # the files behind it are checked first
-            refused.append(error)
+            refused.append(str(error))
             continue
         for file in files:
             print("\n".join(file.problems) or one_line(f"{file.path}: {file.kind}, no problem"))
             if file.problems:
                 verdict = VERDICT_NO
     if refused:
-        raise refused[0]
+        raise ConfigError("; ".join(refused))
     return verdict
 
 

@@ -224,11 +224,6 @@ def add_slow_only(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Add --json, by which a command prints for programs."""
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-
-
 def add_rate(parser: argparse._ActionsContainer) -> None:
     """Add --rate, of set-points."""
     parser.add_argument(

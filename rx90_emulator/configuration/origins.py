@@ -10,7 +10,10 @@ from rx90_common.base.config import read_yaml
 from rx90_common.base.models import FileModel, Model, unit_at
 from rx90_common.base.quoting import aligned, one_line
 from rx90_common.base.share import config_path, resolve_config
-from rx90_common.description.robot_files import FILES, RobotFiles
+from rx90_common.description.robot_files import FILES, NO_TOOL, RobotFiles
+from rx90_common.friction.signs import SIGNS
+from rx90_controller.law.model import ROLES, ModelFiles
+from rx90_controller.law.parameters import load_controller
 from rx90_emulator.configuration.kinds import KINDS
 
 OF_CODE = "default of the code"
@@ -33,7 +36,7 @@ class ShownValue(NamedTuple):
         name: role of the file and path of the key in it.
         value: plain data.
         unit: of it; empty where it has none.
-        origin: the file with the line, or the code's default; empty for a file.
+        origin: the file with the line, the file beside which another is, or the code's default; else empty.
         provenance: published, derived, assumed or identified; empty where nothing says so.
         source: the sentence that names the source.
     """
@@ -47,13 +50,27 @@ class ShownValue(NamedTuple):
 
 
 def robot_values(files: RobotFiles) -> list[ShownValue]:
-    """Return the files of a robot, and the values in them."""
+    """Return the files of a robot, the values in them, and the files of the controller's own model."""
     shown = [ShownValue(f"file.{role}", files.text(role)) for role in FILES]
     for role in FILES:
         path: Path | None = getattr(files, role)
         if role != "urdf" and path is not None:
             shown += file_values(role, path)
+    model = load_controller(files.controller).model or ModelFiles()
+    named = {value.name for value in shown}
+    for role in ROLES:
+        name = f"controller.model.{role}"
+        path = model.path(role)
+        if name not in named and (path is None or path.is_file()):
+            text = NO_TOOL if path is None else _short(path)
+            shown.append(ShownValue(name, text, origin=f"beside {_short(files.controller)}"))
     return shown
+
+
+def _short(path: Path) -> str:
+    """Return the path of a file, of a shipped one that below config/."""
+    shipped = config_path("")
+    return str(path.relative_to(shipped) if path.is_relative_to(shipped) else path)
 
 
 def rig_values(rig: str) -> list[ShownValue]:
@@ -68,22 +85,24 @@ def file_values(role: str, path: Path) -> list[ShownValue]:
     lines: dict[str, int] = {}
     content = read_yaml(path, lines=lines)
     schema = kind.json_schema()
-    shipped = config_path("")
-    file = path.relative_to(shipped) if path.is_relative_to(shipped) else path
     shown = []
     for place, value in _values(kind.model.model_validate(content), content):
         key = ".".join(place)
-        name = f"{role}.{key}"
-        unit = unit_at(schema, place, content)
-        if key not in lines:
-            shown.append(ShownValue(name, value, unit, OF_CODE))
-            continue
-        provenance = _stated("provenance", content, place)
-        source = _stated("source", content, place)
-        if _replaced(content, place):
-            provenance = ASSUMED
-            source = ""
-        shown.append(ShownValue(name, value, unit, f"{file}:{lines[key]}", provenance, source))
+        one = ShownValue(f"{role}.{key}", value, unit_at(schema, place, content), OF_CODE)
+        if key in lines:
+            one = one._replace(
+                origin=f"{_short(path)}:{lines[key]}",
+                provenance=_stated("provenance", content, place),
+                source=_stated("source", content, place),
+            )
+        if estimate := _estimate(content, place):
+            reason = estimate.get("reason")
+            taken = estimate.get("taken_from")
+            reasons = filter(None, (reason, taken and f"taken from {taken}"))
+            one = one._replace(
+                provenance=estimate["provenance"], source="; ".join(reasons) or one.source
+            )
+        shown.append(one)
     return shown
 
 
@@ -118,16 +137,16 @@ def _stated(word: str, content: Mapping[str, Any], place: Place) -> str:
     return stated
 
 
-def _replaced(content: Mapping[str, Any], place: Place) -> bool:
-    """Return whether the block `identification` of a friction file says that a parameter was not identified."""
+def _estimate(content: Mapping[str, Any], place: Place) -> Mapping[str, Any]:
+    """Return what the block `identification` of a friction file says of a parameter; of two signs the assumed one."""
     elements = content.get("identification", {}).get("parameters", {})
-    estimates = elements.get(place[1], {}) if len(place) > 2 else {}
-    name = "_".join(place[2:])
-    return any(
-        estimate["provenance"] == ASSUMED
-        for parameter, estimate in estimates.items()
-        if parameter.startswith(name)
-    )
+    if len(place) < 3 or place[0] != "elements":
+        return {}
+    _, element, name, *sign = place
+    estimates = elements.get(element, {})
+    names = (name, *(f"{name}_{one}" for one in sign or SIGNS))
+    found = [estimates[one] for one in names if one in estimates]
+    return min(found, key=lambda estimate: estimate["provenance"] != ASSUMED, default={})
 
 
 def values_table(values: Sequence[ShownValue]) -> str:

@@ -44,7 +44,7 @@ from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.result import ExcitationIdentification, base_parameters
 from rx90_emulator.identification.robot import BagLayout, RecordedRobot
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
-from rx90_emulator.identification.rows.filtering import Bandwidths
+from rx90_emulator.identification.rows.filtering import Bandwidths, recording_notes
 from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
 from rx90_emulator.identification.sanity import (
     Recorded,
@@ -112,11 +112,14 @@ def identify_excitation(
     parts = TRIED if model is None else model_parts(model)
     _check_rotors(robot, rotors=rotors)
     source = RecordedRobot.load(robot, everything, massless=True, follow=True)
-    records = read_records(by_use, source, progress)
+    records = read_records(by_use, source, progress, currents=True)
     progress("filters and equations")
     bandwidths = Bandwidths.of(records["excitation"], bandwidth)
     problem = recorded_equations(records["excitation"], source, bandwidths, rotors=rotors)
-    notes = log_warnings(problem, source.held)
+    notes = (
+        *recording_notes(records["excitation"], bandwidths),
+        *log_warnings(problem, source.held),
+    )
     given = replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source))
     sanity = alarms(source.arm, Recorded.of(records["excitation"], source.arm), given, source.zero)
     progress("friction")
@@ -144,7 +147,7 @@ def identify_excitation(
         torques=run_torques(stated, fitted.predicted(stated)),
         bodies=bodies,
         alarms=(*log_alarms(records), *sanity, *body_alarms(bodies)),
-        notes=tuple(notes),
+        notes=notes,
         bags=tuple((use, record.bag) for use, some in records.items() for record in some),
     )
     if not records["validation"]:

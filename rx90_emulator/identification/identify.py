@@ -43,10 +43,14 @@ from rx90_emulator.identification.presliding import PreslidingFit, identify_pres
 from rx90_emulator.identification.records import JointRecord, read_record
 from rx90_emulator.identification.result import FrictionIdentification
 from rx90_emulator.identification.robot import RecordedRobot
-from rx90_emulator.identification.rows.filtering import Bandwidths
+from rx90_emulator.identification.rows.filtering import Bandwidths, recording_notes
 from rx90_emulator.identification.sanity import log_alarms
 from rx90_emulator.identification.sliding import identify_sliding
-from rx90_emulator.identification.validation.prediction import Validation, validate
+from rx90_emulator.identification.validation.prediction import (
+    Validation,
+    validate,
+    validation_bandwidths,
+)
 
 _RATES = {"sliding": 250.0, "presliding": None, "excitation": 1000.0, "validation": 1000.0}
 """Rate, Hz, that records are averaged to, by use: plateaus are averaged anyway, a validation compares below 40 Hz, and
@@ -142,7 +146,12 @@ def check_friction(
     file = FrictionFile.read(Path(where))
     elements, arm = with_friction(source.arm, file, where, "a validation by recorded torques")
     source = replace(source, arm=arm)
-    records = read_records(by_use, source, progress)["validation"]
+    currents = (file.identification or {}).get("unit") == "A"
+    records = read_records(by_use, source, progress, currents=currents)["validation"]
+    if currents and any(record.unit == "Nm" for record in records):
+        raise IdentificationError(
+            f"{where}: its torques are in A; accepted: bags with efforts in A"
+        )
     bandwidths = _bandwidths(file, where)
     assumed = _bristles_assumed(file)
     checks = []
@@ -151,7 +160,8 @@ def check_friction(
         check = validate(
             source, elements, record, tolerances, assumed_bristles=assumed, bandwidths=bandwidths
         )
-        checks.append(check)
+        notes = recording_notes([record], validation_bandwidths(record, bandwidths))
+        checks.append(replace(check, notes=notes))
     return tuple(checks)
 
 
@@ -224,6 +234,8 @@ def read_records(
     bags: Mapping[str, Sequence[Path]],
     robot: RecordedRobot,
     progress: Callable[[str], None],
+    *,
+    currents: bool = False,
 ) -> dict[str, list[JointRecord]]:
     """Return the records of bags by use; all are read before anything is fitted, so that a bad one is refused early.
 
@@ -231,6 +243,7 @@ def read_records(
         bags: by use, such as sliding or validation; no bag twice for the same use.
         robot: that the bags come from.
         progress: called with the name of each bag before it is read.
+        currents: whether efforts in A without torque constants are taken as they are, in all bags or in none.
     """
     layouts = [
         (use, path, robot.layout(path, fast=use != "sliding"))
@@ -240,9 +253,16 @@ def read_records(
     records: dict[str, list[JointRecord]] = {use: [] for use in bags}
     for use, path, layout in layouts:
         progress(path.name)
-        record = read_record(path, layout, _RATES[use]).of_joints(robot.arm.names)
+        record = read_record(path, layout, _RATES[use], currents=currents).of_joints(
+            robot.arm.names
+        )
         _check_motion(record, robot.arm, still=use not in ("excitation", "validation"))
         records[use].append(record)
+    units = {record.unit: record.source for some in records.values() for record in some}
+    if len(units) > 1:
+        raise IdentificationError(
+            f"{units['A']}: its efforts are in A, those of {units['Nm']} in Nm; accepted: one unit"
+        )
     used = [record for use, some in records.items() if use != "validation" for record in some]
     for record in records["validation"]:
         _check_unseen(record, used)

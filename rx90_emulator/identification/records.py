@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
@@ -64,6 +65,7 @@ class BagSource:
         duration: time from the first to the last sample, s.
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
         begin: stamp of the first sample, s.
+        unit: of the torques: Nm, or A where they are currents without torque constants.
     """
 
     path: Path
@@ -71,6 +73,7 @@ class BagSource:
     duration: float
     outliers: int = 0
     begin: float = 0.0
+    unit: str = "Nm"
 
     @property
     def recorded(self) -> str:
@@ -135,6 +138,7 @@ class JointRecord:
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
         alarms: what looks wrong in the log and was mended, a sentence each.
         content: for the comparison with other logs; None for a record that was not read from a file.
+        unit: of the torques, as in BagSource.
     """
 
     names: tuple[str, ...]
@@ -147,6 +151,7 @@ class JointRecord:
     outliers: int = 0
     alarms: tuple[str, ...] = ()
     content: Content | None = None
+    unit: str = "Nm"
 
     def of_joints(self, names: Sequence[str]) -> JointRecord:
         """Return the record with all its joints in another order."""
@@ -166,7 +171,7 @@ class JointRecord:
         """Return the bag with the figures of its reading."""
         begin = float(self.time[0])
         return BagSource(
-            self.source, self.sha256, float(self.time[-1]) - begin, self.outliers, begin
+            self.source, self.sha256, float(self.time[-1]) - begin, self.outliers, begin, self.unit
         )
 
 
@@ -191,6 +196,16 @@ def stretches(there: Mask) -> list[tuple[int, int]]:
     """Return begin and end (exclusive) of each stretch of samples that meet a condition, shape (m,)."""
     edges = np.flatnonzero(np.diff(there, prepend=False, append=False))
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
+
+
+def in_unit(text: str, unit: str) -> str:
+    """Return a text with the units of torques, and of values made from them, for torques in another unit than Nm."""
+    if unit == "Nm":
+        return text
+    units = (("Nm", ""), (r"kg m(?:\^2|²)", " s^2"), ("kg m", " s^2/m"), ("kg", " s^2/m^2"))
+    for si, other in units:
+        text = re.sub(rf"\b{si}(?![\w^])", f"{unit}{other}", text)
+    return text
 
 
 def spikes(values: Array) -> Mask:
@@ -229,7 +244,9 @@ def digest(path: Path | str) -> str:
     return whole.hexdigest()
 
 
-def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) -> JointRecord:
+def read_record(
+    path: Path | str, layout: BagLayout, rate: float | None = None, *, currents: bool = False
+) -> JointRecord:
     """Read one bag.
 
     Messages with a NaN and spikes of a single sample are left out and counted. Velocities come from the messages; where
@@ -239,6 +256,7 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
         path: a rosbag2 folder, an .mcap or .db3 file, a ROS 1 .bag file, or a table.
         layout: what the messages hold.
         rate: if given, block means of as many samples as leave about this rate, Hz.
+        currents: whether efforts in A without torque constants are taken as they are.
     """
     path = Path(path)
     names = (*layout.messages, *layout.followed)
@@ -249,7 +267,7 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
     if layout.followed and series.effort is not None:  # whatever it is
         series = replace(series, effort=np.where(np.arange(len(names)) < count, series.effort, 0.0))
     where = f"{path}: {series.topic}"
-    _check_efforts(where, series, layout)
+    unit = _unit(where, series, layout, currents=currents)
     good = _good_rows(where, series)
     time = series.stamp_ns[good] / NANOSECONDS
     fields = {name: values[good] for name, values in series.fields.items()}
@@ -289,11 +307,12 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
         outliers=len(series.stamp_ns) - len(good),
         alarms=tuple(f"{path}: {alarm}" for alarm in alarms),
         content=content,
+        unit=unit,
     )
 
 
-def _check_efforts(where: str, series: JointSeries, layout: BagLayout) -> None:
-    """Refuse logs without positions or efforts, and efforts that are no torques."""
+def _unit(where: str, series: JointSeries, layout: BagLayout, *, currents: bool) -> str:
+    """Return the unit of the torques; refuse logs without positions or efforts."""
     for name in ("position", "effort"):
         values = series.fields.get(name)
         if values is None or np.isnan(values).all():
@@ -303,10 +322,13 @@ def _check_efforts(where: str, series: JointSeries, layout: BagLayout) -> None:
             f"{where} carries effort 0 throughout; accepted: measured efforts"
         )
     unit = series.units["effort"]
-    if unit != "Nm" and (unit != "A" or layout.torque_constant is None):
-        raise IdentificationError(
-            f"{where}: its efforts are in {plain(unit)}; accepted: Nm, or A with --torque-constant"
-        )
+    if unit == "Nm" or (unit == "A" and layout.torque_constant is not None):
+        return "Nm"
+    if unit == "A" and currents:
+        return "A"
+    raise IdentificationError(
+        f"{where}: its efforts are in {plain(unit)}; accepted: Nm, or A with --torque-constant"
+    )
 
 
 def _check_sizes(where: str, fields: Mapping[str, Array]) -> None:

@@ -108,6 +108,11 @@ class Identification:
         return self.robot.arm
 
     @property
+    def unit(self) -> str:
+        """Return the unit of the torques: Nm, or A without torque constants; all values are in its scale."""
+        return next((bag.unit for _, bag in self.bags), "Nm")
+
+    @property
     def curves(self) -> dict[str, FrictionCurve]:
         """Return measured and identified torque against velocity, by element."""
         return {}
@@ -179,7 +184,7 @@ class ExcitationIdentification(Identification):
         compared: bandwidths in which torques are compared: the motion's, whatever those of the fit are.
         torques: recorded and predicted, of each run that was used.
         bodies: what each joint moves, by the description and by the robot's files.
-        notes: what the recordings cannot determine.
+        notes: gaps that were bridged or split the recordings, and what these cannot determine.
     """
 
     problem: ExcitationProblem
@@ -227,7 +232,7 @@ class ExcitationIdentification(Identification):
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """Return which values cannot be trusted, and why, a sentence each."""
-        return (*unexplained(self.torques).values(), *self._falling)
+        return (*self.in_currents, *unexplained(self.torques).values(), *self._falling)
 
     @property
     def element_notes(self) -> dict[str, str]:
@@ -253,6 +258,16 @@ class ExcitationIdentification(Identification):
             if texts:
                 notes[name] = "; ".join(texts)
         return notes
+
+    @property
+    def in_currents(self) -> tuple[str, ...]:
+        """Return a warning if torques are currents, which a simulation must not use as torques; else nothing."""
+        if self.unit == "Nm":
+            return ()
+        return (
+            f"efforts in {self.unit} and no torque constants: friction, inertias and the files are in that scale, and "
+            "no simulation should load them",
+        )
 
     @property
     def _falling(self) -> list[str]:

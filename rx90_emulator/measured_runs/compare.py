@@ -14,7 +14,7 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.topics import absolute
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError, TrajectoryError, check_type
 from rx90_common.base.quoting import counted
 from rx90_common.base.rates import NANOSECONDS
@@ -183,9 +183,9 @@ def compare_measured(
     setpoints = _recorded_setpoints(run, record.position[0], setup, what) or path_setpoints(
         run, setup
     )
-    _check_ranges(setpoints, path, setup)
+    beyond = _beyond(setpoints, path, setup)
     progress("closed loop")
-    simulated, begin, end = _simulated(setup, setpoints, run)
+    simulated, begin, end, saturated = _simulated(setup, setpoints, run)
     progress("comparison")
     time = run.time[run.rows]
     # covered for any lag of the simulated arm
@@ -218,7 +218,15 @@ def compare_measured(
         lag=lag,
         bandwidths=run.bandwidths,
         setpoints=setpoints.source,
-        remarks=_remarks(record, pieces, run),
+        remarks=(
+            *beyond,
+            *(
+                f"{name}'s motor is at its limit in {share:.1%} of the simulated time"
+                for name, share in zip(run.names, saturated, strict=True)
+                if share
+            ),
+            *_remarks(record, pieces, run, moves[rows]),
+        ),
         tolerances=tolerances,
     )
 
@@ -319,32 +327,43 @@ def _with_lead_in(begin: float, values: Array, setup: Setup, source: str) -> _Se
     return _SetPoints(begin - (hold + lead) * period, whole, begin, start_pose, source)
 
 
-def _check_ranges(setpoints: _SetPoints, bag: Path, setup: Setup) -> None:
-    """Refuse positions beyond a joint's range.
+def _beyond(setpoints: _SetPoints, bag: Path, setup: Setup) -> tuple[str, ...]:
+    """Return a sentence for velocities, and one for accelerations, that the controller would refuse.
 
-    Velocities and accelerations may be beyond the controller's limits: the measured arm did move so.
+    The measured arm did move so. Positions beyond a joint's range are refused.
     """
-    low = setup.robot.lower
-    high = setup.robot.upper
-    position = setpoints.values[:, 0]
-    beyond = np.maximum(low - position, position - high) / (high - low)
-    row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
-    if beyond[row, joint] > _RANGE_SLACK:
-        raise TrajectoryError(
-            f"{bag}: {setup.robot.joint_names[joint]} needs the position {position[row, joint]:.4g} rad at "
-            f"{setpoints.start + row * setup.rates.position_period:.3f} s; accepted by the robot's files: "
-            f"[{low[joint]:.4g}, {high[joint]:.4g}] rad; set-points are {setpoints.source}"
+    limits = setup.controller.limits(setup.robot)
+    found = []
+    for k, (what, unit, low, high) in enumerate((
+        ("position", "rad", limits.lower, limits.upper),
+        ("velocity", "rad/s", -limits.velocity, limits.velocity),
+        ("acceleration", "rad/s^2", -limits.acceleration, limits.acceleration),
+    )):  # fmt: skip
+        values = setpoints.values[:, k]
+        beyond = np.maximum(low - values, values - high) / (high - low)
+        row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+        if beyond[row, joint] <= _RANGE_SLACK:
+            continue
+        time = setpoints.start + row * setup.rates.position_period
+        where = f"{time:.3f} s" if time >= setpoints.begin else "the lead-in, before the bag begins"
+        fault = (
+            f"{limits.names[joint]} needs the {what} {values[row, joint]:.4g} {unit} at {where}; accepted by the "
+            f"robot's files: [{low[joint]:.4g}, {high[joint]:.4g}] {unit}"
         )
+        if k == 0:
+            raise TrajectoryError(f"{bag}: {fault}; set-points are {setpoints.source}")
+        found.append(f"{fault}; the simulation goes on nevertheless")
+    return tuple(found)
 
 
 def _simulated(
     setup: Setup, setpoints: _SetPoints, run: FilteredRun
-) -> tuple[BSpline, float, float]:
+) -> tuple[BSpline, float, float, Array]:
     """Return the simulated run, filtered by the low-pass of the measured one.
 
     Returns:
-        Position rad and torque Nm by the time since the first set-point, shape (k, 2, n), and the first and last time
-        covered, by the bag's stamps.
+        Position rad and torque Nm by the time since the first set-point, shape (k, 2, n), the first and last time
+        covered, by the bag's stamps, and the share of the time in which each motor was at its limit, shape (n,).
     """
     # Sampled at the measured rate: aliasing by slow sampling is then the same on both sides.
     rates = setup.rates
@@ -365,13 +384,14 @@ def _simulated(
     since = (len(taps) // 2 + np.arange(len(filtered))) / rate
     begin = setpoints.start + float(since[0])
     end = setpoints.start + float(since[-1])
-    return make_interp_spline(since, filtered, k=3), max(begin, setpoints.begin), end
+    saturated = simulated.saturated / (len(setpoints.values) * rates.ratio)
+    return make_interp_spline(since, filtered, k=3), max(begin, setpoints.begin), end, saturated
 
 
 def _remarks(
-    record: JointRecord, pieces: tuple[FilteredRun, ...], run: FilteredRun
+    record: JointRecord, pieces: tuple[FilteredRun, ...], run: FilteredRun, compared: Mask
 ) -> tuple[str, ...]:
-    """Return which parts of the bag are not compared, and why."""
+    """Return which parts of the bag are not compared, and why; `compared` as in TorquePrediction."""
     found = []
     if len(pieces) > 1:
         found.append(
@@ -382,6 +402,10 @@ def _remarks(
         found.append(
             f"left out: {counted(record.outliers, 'sample')} (NaN, single spikes or repeated stamps)"
         )
+    if not compared.all():
+        shares = zip(run.names, compared.mean(axis=0), strict=True)
+        parts = ", ".join(f"{name} {share:.0%}" for name, share in shares if share < 1.0)
+        found.append(f"torques are compared where a joint moves: {parts} of the time")
     return tuple(found)
 
 

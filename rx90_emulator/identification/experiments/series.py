@@ -14,7 +14,8 @@ from rx90_common.bags.topics import absolute
 from rx90_common.bags.writing import string_message, write_joint_states
 from rx90_common.base.config import yaml_text
 from rx90_common.base.quoting import counted, plain
-from rx90_common.process.files import made_folder, write_all
+from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.process.files import made_folder, write_all, write_text
 from rx90_controller.trajectory.points import message_content
 from rx90_controller.trajectory.spline import interpolate
 from rx90_emulator.identification.experiments.arms import PlannedArm
@@ -122,6 +123,9 @@ def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | st
     Raises:
         Rx90Error: for every refusal and failure; complete bags stay.
     """
+    elements = dict(zip(setup.friction.names, setup.friction.elements, strict=True))
+    source = "the emulator made the runs beside this file with it"
+    friction = FrictionFile.of(elements, provenance="assumed", source=source)
     # An interrupt ends the bar's line.
     with (
         made_folder(Path(folder)) as new,
@@ -130,6 +134,7 @@ def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | st
         for number, experiment in enumerate(bar):
             run_on_engine(setup, experiment, new / experiment.name)
             write_index(new, plan[: number + 1])
+            write_text(new / "emulated_friction.yaml", friction.text())
 
 
 def record_on_nodes(

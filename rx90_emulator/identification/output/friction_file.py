@@ -20,7 +20,7 @@ from rx90_emulator.identification.estimates import (
     digits,
 )
 from rx90_emulator.identification.fitted import ASSUMED
-from rx90_emulator.identification.records import BagSource
+from rx90_emulator.identification.records import BagSource, in_unit
 from rx90_emulator.identification.result import FrictionIdentification, Identification
 
 _REMARKS = """\
@@ -77,7 +77,8 @@ def friction_text(
         element = _rounded(identified)
         written[name] = element.replaced(note=notes.get(its_name))
         parameters[name] = _provenance(identified, element, labels, date, fallback)
-    identification = {"date": date, "bags": bags, **about, "parameters": parameters}
+    unit = {} if result.unit == "Nm" else {"unit": result.unit}
+    identification = {"date": date, "bags": bags, **unit, **about, "parameters": parameters}
     check_numbers(identification, LARGEST, "identification")
     bags_used = counted(len(labels), "bag")
     source = f"{bags_used}, {date}; omega_d is not identified, it is at most that of {fallback}"
@@ -88,7 +89,7 @@ def friction_text(
         joints=dict(joints),
         identification=identification,
     )
-    return file.text(_REMARKS)
+    return in_unit(file.text(_REMARKS), result.unit)
 
 
 def _rounded(identified: IdentifiedElement) -> FrictionElement:

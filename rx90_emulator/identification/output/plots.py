@@ -33,14 +33,17 @@ def compared(
 
 
 def torques(
-    torque: TorquePrediction, names: Sequence[str], predicted: str = "predicted"
+    torque: TorquePrediction,
+    names: Sequence[str],
+    predicted: str = "predicted",
+    unit: str = "Nm",
 ) -> list[figure]:
     """Show the first minute of measured and predicted torques, and their difference where a joint moves."""
     time = torque.time - torque.time[0]
     rows = slice(0, int(np.searchsorted(time, DRAWN_S, side="right")))
     figures = []
     for k, name in enumerate(names):
-        shown = chart(name, "", "Nm", height=120)
+        shown = chart(name, "", unit, height=120)
         compared(
             shown,
             time[rows],
@@ -60,9 +63,9 @@ def tips(tip: TipDistance) -> figure:
     return shown
 
 
-def friction_curve(name: str, curve: FrictionCurve) -> figure:
+def friction_curve(name: str, curve: FrictionCurve, unit: str) -> figure:
     """Show the torque against the speed of an element in both directions, with intervals of 95 %."""
-    shown = chart(name, _SPEED, "friction torque, Nm", x_axis_type="log")
+    shown = chart(name, _SPEED, f"friction torque, {unit}", x_axis_type="log")
     for sign, direction, colour in ((1.0, "forward", COLOURS[0]), (-1.0, "backward", COLOURS[1])):
         line = _source(sign, *curve.line)
         shown.varea(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from bokeh.plotting import figure
 from rx90_common.base.share import versions
 from rx90_common.report.page import render_page
 from rx90_emulator.identification.output import plots, summary
+from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.result import (
     ExcitationIdentification,
     Identification,
@@ -22,18 +24,19 @@ from rx90_emulator.identification.result import (
 from rx90_emulator.identification.validation.prediction import Validation
 
 
-def _render(template: str, date: datetime, **values: Any) -> str:
-    """Return a page; templates can use the functions of `summary`, and `values`."""
+def _render(template: str, date: datetime, unit: str, **values: Any) -> str:
+    """Return a page on torques in a unit; templates can use the functions of `summary`, and `values`."""
     day = f"{date:%Y-%m-%d %H:%M} UTC"
     package = "rx90_emulator.identification.output"
-    return render_page(package, template, date=day, summary=summary, zip=zip, **values)
+    words = partial(in_unit, unit=unit)
+    return render_page(package, template, words, date=day, summary=summary, zip=zip, **values)
 
 
 def _checks(checks: Sequence[Validation]) -> list[tuple[Validation, str, list[figure]]]:
     """Return validations with the names of their bags, and their plots."""
     shown = []
     for check in checks:
-        figures = plots.torques(check.torque, check.torque.names)
+        figures = plots.torques(check.torque, check.torque.names, unit=check.torque.source.unit)
         if check.tip is not None:
             figures.append(plots.tips(check.tip))
         shown.append((check, Path(check.source).name, figures))
@@ -49,7 +52,8 @@ def check_page(checks: Sequence[Validation], friction_file: str) -> str:
     """
     now = datetime.now(timezone.utc)
     shown = _checks(checks)
-    return _render("friction_check.html.j2", now, checks=shown, friction_file=friction_file)
+    unit = checks[0].torque.source.unit
+    return _render("friction_check.html.j2", now, unit, checks=shown, friction_file=friction_file)
 
 
 def identification_page(result: Identification, files: Sequence[str]) -> str:
@@ -64,6 +68,7 @@ def identification_page(result: Identification, files: Sequence[str]) -> str:
     return _render(
         "identification.html.j2",
         result.date,
+        result.unit,
         result=result,
         kind="excitation" if isinstance(result, ExcitationIdentification) else "sweeps",
         files=files,
@@ -73,5 +78,7 @@ def identification_page(result: Identification, files: Sequence[str]) -> str:
         columns=summary.friction_columns(rows),
         lacking=summary.lacking(names, result.elements),
         checks=_checks(result.validations),
-        curves=[plots.friction_curve(name, curve) for name, curve in result.curves.items()],
+        curves=[
+            plots.friction_curve(name, curve, result.unit) for name, curve in result.curves.items()
+        ],
     )

@@ -37,6 +37,7 @@ from rx90_emulator.identification.estimates import (
 )
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.output.summary import bodies_warnings
+from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.result import ExcitationIdentification
 from rx90_emulator.identification.validation.prediction import Validation
 
@@ -209,6 +210,8 @@ def robot_texts(
     if inertias.rotors.any():
         rotors = ", ".join(f"{value:.6g}" for value in inertias.rotors)
         remark += f"Rotors are no part of them: {rotors} kg m^2 at the joints. "
+    remark += "".join(f"{text}. " for text in result.in_currents)
+    remark = in_unit(remark, result.unit)
     held = () if base is None else base.held
     texts = {
         FILES["urdf"]: edited_urdf(urdf.read_text(encoding="utf-8"), bodies, held, remark),
@@ -401,7 +404,7 @@ def parameters_text(result: ExcitationIdentification) -> str:
         },
     }
     check_numbers(content, LARGEST)
-    return _PARAMETERS_HEAD + yaml_text(content)
+    return in_unit(_PARAMETERS_HEAD + yaml_text(content), result.unit)
 
 
 def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:

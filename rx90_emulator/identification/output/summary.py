@@ -16,6 +16,7 @@ from rx90_emulator.identification.estimates import (
     ParameterEstimate,
 )
 from rx90_emulator.identification.fitted import PART_OF
+from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.result import (
     ExcitationIdentification,
     FrictionIdentification,
@@ -54,7 +55,7 @@ def identification_summary(result: Identification) -> str:
         lines += _excitation_lines(result)
     lines += [f"alarm: {alarm}" for alarm in result.alarms]
     lines += [validation_verdict(check, result.scope) for check in result.validations]
-    return "\n".join(lines)
+    return in_unit("\n".join(lines), result.unit)
 
 
 def _friction_lines(result: Identification) -> list[str]:
@@ -221,8 +222,9 @@ def check_summary(checks: Sequence[Validation]) -> str:
         ]
         lines += table(("joint", "RMS, Nm", "of torque", "worst, Nm", "of largest"), rows)
         lines += [f"alarm: {alarm}" for alarm in check.alarms]
+        lines += [f"warning: {note}" for note in check.notes]
         lines.append(validation_verdict(check))
-    return "\n".join(lines)
+    return in_unit("\n".join(lines), checks[0].torque.source.unit)
 
 
 def friction_rows(

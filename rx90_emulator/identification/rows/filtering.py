@@ -387,3 +387,20 @@ def low_pass(values: Array, taps: Array, down: int = 1) -> Array:
         :, first : first + count
     ]
     return filtered.T.reshape(count, *values.shape[1:])
+
+
+def recording_notes(records: Sequence[JointRecord], bandwidths: Bandwidths) -> tuple[str, ...]:
+    """Return in words how many gaps were interpolated or split runs."""
+    notes = []
+    longest = BRIDGED_PERIODS / bandwidths.position
+    for record in records:
+        steps = np.array([record.time[k] - record.time[k - 1] for k in gaps(record.time).tolist()])
+        short = int(np.count_nonzero(steps <= longest))
+        if short:
+            notes.append(
+                f"{record.source.name}: {counted(short, 'gap')} of up to {longest:.3g} s interpolated"
+            )
+        if short < len(steps):
+            long = counted(len(steps) - short, "gap")
+            notes.append(f"{record.source.name}: {long} of up to {steps.max():.3g} s split the run")
+    return tuple(notes)

@@ -86,6 +86,7 @@ class Validation:
         source: the bag.
         alarms: what looks wrong in the bag, a sentence each, if it is compared with a given friction.
         assumed_bristles: whether c0 and c1 of any element are assumed: then torques at reversals do not judge the rest.
+        notes: gaps in the bag that were bridged or cut out, if it is compared with a given friction.
         fitted: torques by identified base parameters, beside those by the files with possible bodies; None where the
             bodies are the description's.
         simplest: of a rigid body with Coulomb and viscous friction, fitted to the same runs.
@@ -97,6 +98,7 @@ class Validation:
     source: str
     alarms: tuple[str, ...] = ()
     assumed_bristles: bool = False
+    notes: tuple[str, ...] = ()
     fitted: RunTorques | None = None
     simplest: RunTorques | None = None
     tip: TipDistance | None = None

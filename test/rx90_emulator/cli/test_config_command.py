@@ -1,10 +1,11 @@
 """rx90 config: what is wrong in files, what a setup comes to, and completion in a real shell."""
 
+import dataclasses
 import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -260,6 +261,19 @@ $(complete -p {name} | sed 's/.*-F \\([^ ]*\\) .*/\\1/') {name}; printf '%s\\n' 
         if shell == "bash":
             assert "my_task.yaml" not in offered or "my_task.yaml" in asked[words], words
             assert all(each.startswith(words.rpartition(" ")[2]) for each in offered), words
+
+
+def test_show_names_the_files_of_the_controller_s_model(
+    shipped_files: RobotFiles, edited_yaml: Callable[..., Path]
+) -> None:
+    """Those that the controller file names with their lines, the others beside it; none that is not there."""
+    shown = {one.name: one for one in robot_values(shipped_files)}
+    friction = shown["controller.model.friction"]
+    assert (friction.value, friction.origin) == ("robots/rx90b/friction.yaml", "beside robots/rx90b/controller.yaml")
+    shared = {role: shipped_files.text(role) for role in ("urdf", "drives", "friction")}
+    named = dataclasses.replace(shipped_files, controller=edited_yaml(shipped_files.controller, ("model",), shared))
+    of_model = {one.name: one.value for one in robot_values(named) if one.name.startswith("controller.model.")}
+    assert of_model == {f"controller.model.{role}": name for role, name in {**shared, "tool": "none"}.items()}
 
 
 _SLOW = {f"scipy.{part}" for part in ("signal", "interpolate", "optimize", "stats", "sparse")}

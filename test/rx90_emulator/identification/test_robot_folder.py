@@ -92,9 +92,9 @@ def identified(
     given = {"problem": problem, "robot": robot, "consistency": consistency, "elements": elements, "bags": bags,
              "compared": bands}  # fmt: skip
     ranges = ((0.05, 2.0),) * len(elements)
-    return SimpleNamespace(
-        **given, arm=arm, date=DATE, element_notes={}, notes=(), fitted=SimpleNamespace(speeds=ranges)
-    )
+    fitted = SimpleNamespace(speeds=ranges)
+    stated = {"unit": "Nm", "in_currents": (), "element_notes": {}, "notes": ()}
+    return SimpleNamespace(**given, **stated, arm=arm, date=DATE, fitted=fitted)
 
 
 @pytest.fixture(scope="module")
@@ -293,8 +293,8 @@ def test_no_absurd_friction_is_written(source: BagSource, parameter: str, value:
     """A friction value that no arm has, or a deviation that is absurd or no number, is refused by name in one line."""
     good = element_of(FrictionElement(tau_c=1.0, tau_s=1.5, omega_s=0.05, delta=1.0, c0=1e4, c1=1.0, c2=0.5), source)
     robot = SimpleNamespace(fallback_name=None)
-    arm = SimpleNamespace(element_names=["a"])
-    result: Any = SimpleNamespace(robot=robot, arm=arm, date=DATE, element_notes={}, elements=[good])
+    stated = {"unit": "Nm", "element_notes": {}, "arm": SimpleNamespace(element_names=["a"])}
+    result: Any = SimpleNamespace(**stated, robot=robot, date=DATE, elements=[good])
     assert "tau_c: 1.0" in friction_text(result, ["a"], {})
     estimates = {**good.estimates, parameter: ParameterEstimate(value, deviation)}
     bad = replace(good, element=good.element.with_parameters({parameter: value}), estimates=estimates)

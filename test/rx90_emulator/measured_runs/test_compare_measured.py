@@ -100,6 +100,8 @@ def test_the_measured_path_does_without_set_points(measured: Measured, rate: int
     bag = measured.write(f"joints_{rate}", measured.joints(rate))
     good = rx.compare_measured(bag, measured.setup)
     assert good.setpoints.startswith("the measured path below")
+    # No set-point, those on the way to the begin of the path included, is beyond a limit.
+    assert not any("needs the" in remark for remark in good.remarks)
     assert good.passed
     assert good.torque.total_share < 0.05
     if rate == 1000:
@@ -142,7 +144,7 @@ def test_what_is_beyond_the_band_or_at_rest_does_not_count(measured: Measured) -
 
 
 def test_a_path_beyond_the_limits_is_named(measured: Measured) -> None:
-    """A position beyond the range is refused with joint, value and time."""
+    """A position beyond the range is refused with joint, value and time; too fast an acceleration is a remark."""
     low = np.array(measured.setup.robot.lower)
     low[1] = 0.25
     bag = measured.write("limits", measured.joints())
@@ -153,6 +155,8 @@ def test_a_path_beyond_the_limits_is_named(measured: Measured) -> None:
     words = str(caught.value).split()
     assert float(words[words.index("position") + 1]) == pytest.approx(position.min(), abs=1e-3)
     assert float(words[words.index("at") + 1]) == pytest.approx(position.argmin() * 1e-3, abs=0.02)
+    slow = rx.with_parameters(measured.setup, {"controller.max_acceleration[*]": 0.3})
+    assert any("needs the acceleration" in remark for remark in rx.compare_measured(bag, slow).remarks)
 
 
 def test_set_points_of_another_rate_and_zero_are_followed(measured: Measured) -> None:

@@ -146,6 +146,7 @@ def test_a_check_of_the_written_files_gives_the_same_numbers(bench: Bench, outco
         np.testing.assert_allclose(check.torque.rms_share, first.torque.rms_share, rtol=1e-3)
         assert check.torque.total_share == pytest.approx(first.torque.total_share, rel=1e-3)
         assert [one.limit for one in check.criteria[:2]] == [one.limit for one in first.criteria[:2]]
+        assert not check.notes
 
 
 def test_folder_holds_the_arm(bench: Bench, outcome: Outcome, check_report: Callable[[Path], None]) -> None:
@@ -225,6 +226,37 @@ def test_a_joint_that_is_not_identified_follows_the_bag(tmp_path: Path) -> None:
     assert (motors.held, motors.followed) == (("wrist",), ())
     held = rx.identify_excitation([tmp_path / "run_bare"], robot, [tmp_path / "unseen_bare"])
     assert (held.validations[0].fitted.rms_share > 5.0 * check.fitted.rms_share).all()
+
+
+def test_currents_without_constants_stay_currents(bench: Bench, outcome: Outcome, tmp_path: Path) -> None:
+    """Efforts in A give A, A s/rad and A s^2 in summary, report and files, half the numbers of 2 Nm/A, and no Nm."""
+    position, velocity = fourier(1, 20.0)
+    torque = bench.torque((position, velocity)) + NOISE * np.random.default_rng(1).normal(size=position.shape)
+    time = np.arange(len(position)) / RATE
+    columns = np.column_stack([time, position, velocity, torque / 2.0])
+    np.savetxt(tmp_path / "run.csv", columns, delimiter=",", header="t,q1,q2,v1,v2,i1,i2", comments="")
+    fields = (("position", "q", "rad"), ("velocity", "v", "rad/s"), ("effort", "i", "A"))
+    content = {name: {"columns": [f"{letter}1", f"{letter}2"], "unit": unit} for name, letter, unit in fields}
+    text = yaml.safe_dump({"time": {"column": "t", "unit": "s"}, "names": NAMES, **content})
+    (tmp_path / "run.yaml").write_text(text, encoding="utf-8")
+    result = rx.identify_excitation([tmp_path / "run.csv"], rx.RobotOptions(urdf=bench.urdf))
+    for one, other in zip(result.elements, outcome.result.elements, strict=True):
+        for name in ("tau_c_positive", "c2"):
+            assert one.estimates[name].value == pytest.approx(0.5 * other.estimates[name].value, rel=0.01)
+    said = rx.identification_summary(result)
+    assert "warning: efforts in A and no torque constants" in said
+    rx.write_identification(result, tmp_path / "identified")
+    texts = {path.name: path.read_text(encoding="utf-8") for path in (tmp_path / "identified").iterdir()}
+    page = re.sub(r"<(script|style|footer).*?</\1>", "", texts["report.html"], flags=re.DOTALL)
+    for shown in (said, page, texts["friction.yaml"], texts["parameters.yaml"]):
+        assert not re.search(r"\bNm\b", shown)
+    assert "A (s/rad)" in page
+    assert "unit: A s^2" in texts["parameters.yaml"]
+    robot = rx.RobotOptions(urdf=tmp_path / "identified" / "robot.urdf")
+    (check,) = rx.check_friction(tmp_path / "identified" / "friction.yaml", [tmp_path / "run.csv"], robot)
+    assert check.torque.source.unit == "A"
+    with pytest.raises(rx.Rx90Error, match="its torques are in A; accepted: bags with efforts in A"):
+        rx.check_friction(tmp_path / "identified" / "friction.yaml", [bench.folder / "run"], robot)
 
 
 OTHER = "{tau_c: 0.7, tau_s: 0.9, omega_s: 0.02, delta: 1.0, c0: 900.0, c1: 2.0, c2: 0.3, omega_d: 0.5}"

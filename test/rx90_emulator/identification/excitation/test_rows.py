@@ -20,6 +20,7 @@ from rx90_emulator.identification.rows.filtering import (
     filter_record,
     low_pass_taps,
     moving_joints,
+    recording_notes,
 )
 from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
 
@@ -72,13 +73,15 @@ def test_errors_have_the_motions_band_and_fits_a_wider_one_with_clean_accelerati
 
 
 def test_short_gaps_are_bridged_and_long_ones_split() -> None:
-    """A gap of some samples changes a motion by less than 1 %."""
+    """A gap of some samples changes a motion by less than 1 %; both kinds are said."""
     bands = Bandwidths(20.0, 7.0)
     (run,) = filter_record(record(500.0, 20.0, gap=0.011), bands)
     angle = 2.0 * np.pi * TONES * run.time[:, None, None]
     assert np.abs(run.position[:, :2] - np.sin(angle).sum(axis=2)).max() < 0.01
     split = record(500.0, 20.0, gap=0.2)
     assert len(filter_record(split, bands)) == 2
+    (note,) = recording_notes([split], bands)
+    assert "1 gap of up to 0.2" in note
 
 
 def test_what_cannot_be_filtered_is_refused() -> None:
