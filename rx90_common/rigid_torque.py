@@ -30,7 +30,7 @@ def rigid_torque(
     data = model.createData()
     rows = zip(configurations(model, position), velocity, acceleration, strict=True)
     links = np.array([pin.rnea(model, data, *row) for row in rows]).reshape(position.shape)
-    return np.asarray(links + (acceleration @ rotor.T + spring * np.sin(position)))
+    return links + (acceleration @ rotor.T + spring * np.sin(position))
 
 
 def configurations(model: Any, position: Array) -> Array:

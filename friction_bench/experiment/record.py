@@ -72,7 +72,7 @@ class RampModel:
     def velocity(self, time: ArrayLike) -> Array:
         """Return w(t), rad/s."""
         s, T, a = self._since_release(time)
-        return np.asarray(a * s - (self.release / self.viscous - a * T) * np.expm1(-s / T))
+        return a * s - (self.release / self.viscous - a * T) * np.expm1(-s / T)
 
     def angle(self, time: ArrayLike) -> Array:
         """Return the angle since rest, rad."""

@@ -293,7 +293,7 @@ class _Ramps:
         ramp = self.alone(k, x)
         variance = self.errors.spread**2
         share = variance / (variance + np.diag(ramp.covariance)[:_T])
-        return np.asarray(x[:_T] + share * ramp.change[:_T])
+        return x[:_T] + share * ramp.change[:_T]
 
     def bend(self, k: int, x: Array) -> tuple[float, float] | None:
         """Return the slope of the velocity in both halves of a ramp, rad/s², where it is not the same or none."""

@@ -120,7 +120,7 @@ class Coupling:
         """Return joint turns for motor turns, the inverse of `turns`, whole numbers to the last bit."""
         inverse = np.linalg.inv(self.turns)
         whole = np.round(inverse)
-        return np.asarray(np.where(np.abs(inverse - whole) < 1e-12, whole, inverse))
+        return np.where(np.abs(inverse - whole) < 1e-12, whole, inverse)
 
     def of_elements(self, motors: Sequence[float], of_none: float) -> list[float]:
         """Return for each friction element the value of the motor that turns with it, `of_none` if there is none."""
@@ -135,7 +135,7 @@ class Coupling:
 
     def coupled(self, motors: Array) -> Array:
         """Return properties of motors, such as rotor inertias, seen from the joints: C^T diag(motors) C, (n, n)."""
-        return np.asarray(self.turns.T @ np.diag(motors) @ self.turns)
+        return self.turns.T @ np.diag(motors) @ self.turns
 
     def element_names(self, joint_names: Sequence[str]) -> tuple[str, ...]:
         """Return the names of the friction elements: the joints' own, `joint_5_6` for an RX's wrist, else sums."""

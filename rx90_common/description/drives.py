@@ -464,7 +464,7 @@ class DriveParameters(FileModel):
     @property
     def motor_heat(self) -> Array:
         """Return the heat of windings at their reference temperature, W for the square of the torque in Nm, (n,)."""
-        return np.asarray(self.winding.resistance / self.torque_constant**2)
+        return self.winding.resistance / self.torque_constant**2
 
     @property
     def rotor_matrix(self) -> Array:

@@ -155,12 +155,12 @@ class SphericalWristArm:
 
 def _plane_length(vector: Array) -> Array:
     """Return the lengths (...) of vectors (..., 2)."""
-    return np.asarray(np.sqrt(vector[..., 0] * vector[..., 0] + vector[..., 1] * vector[..., 1]))
+    return np.sqrt(vector[..., 0] * vector[..., 0] + vector[..., 1] * vector[..., 1])
 
 
 def nearest_turn(q: Array, reference: Array) -> Array:
     """Shift each angle by whole turns to within half a turn of `reference`."""
-    return np.asarray(q - 2.0 * np.pi * np.round((q - reference) / (2.0 * np.pi)))
+    return q - 2.0 * np.pi * np.round((q - reference) / (2.0 * np.pi))
 
 
 def singularity_margins(chain: RigidChain, q: Array) -> dict[str, Array]:

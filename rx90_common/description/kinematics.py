@@ -197,7 +197,7 @@ def tip_position(chain: RigidChain, q: Array) -> Array:
         point = point + turned
         point += twice
         point += chain.origin[i][:, None]
-    return np.asarray(point.T)
+    return point.T
 
 
 class LinkTransforms:

@@ -18,17 +18,17 @@ from rx90_common.kernels.elementary import angles_of, sines_cosines
 
 def dot(a: Array, b: Array) -> Array:
     """Return the scalar products (...) of vectors (..., 3)."""
-    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
 
 
 def length(vector: Array) -> Array:
     """Return the lengths (...) of vectors (..., 3)."""
-    return np.asarray(np.sqrt(dot(vector, vector)))
+    return np.sqrt(dot(vector, vector))
 
 
 def angle_between(a: Array, b: Array) -> Array:
     """Return the angles (...), rad, between vectors (..., 3)."""
-    return np.asarray(np.arctan2(length(np.cross(a, b)), dot(a, b)))
+    return np.arctan2(length(np.cross(a, b)), dot(a, b))
 
 
 def transposed(rotation: Array) -> Array:
@@ -39,18 +39,18 @@ def transposed(rotation: Array) -> Array:
 def rotated(rotation: Array, vector: Array) -> Array:
     """Return vectors (..., 3) turned by rotations, or multiplied by any matrices, (..., 3, 3)."""
     x, y, z = (rotation[..., :, k] * vector[..., k, None] for k in range(3))
-    return np.asarray(x + y + z)
+    return x + y + z
 
 
 def product(a: Array, b: Array) -> Array:
     """Return the matrix products (..., 3, 3) of a and b."""
     x, y, z = (a[..., :, k, None] * b[..., None, k, :] for k in range(3))
-    return np.asarray(x + y + z)
+    return x + y + z
 
 
 def outer(a: Array, b: Array) -> Array:
     """Return the matrices a b^T, (..., 3, 3)."""
-    return np.asarray(a[..., :, None] * b[..., None, :])
+    return a[..., :, None] * b[..., None, :]
 
 
 def cross_matrix(vector: Array) -> Array:
@@ -125,12 +125,12 @@ def rotation_vector(rotation: Array) -> Array:
     sine = length(skew)
     trace = rotation[0, 0] + rotation[1, 1] + rotation[2, 2]
     angle = angles_of(sine, 0.5 * (trace - 1.0))
-    return np.asarray(skew * (angle / sine if sine > 0.0 else 1.0))
+    return skew * (angle / sine if sine > 0.0 else 1.0)
 
 
 def _rotation_vector(vector: Array, scalar: float) -> Array:
     sine = length(vector)
-    return np.asarray(vector * (2.0 * angles_of(sine, scalar) / sine if sine > 0.0 else 2.0))
+    return vector * (2.0 * angles_of(sine, scalar) / sine if sine > 0.0 else 2.0)
 
 
 def solved(matrix: Array, right: Array) -> Array:

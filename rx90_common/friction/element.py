@@ -186,7 +186,7 @@ class FrictionElement(FileModel):
     def damping(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return c1(v), Nm s/rad."""
         with np.errstate(over="ignore"):
-            return np.asarray(self.c1 * np.exp(-((np.asarray(velocity) / self.omega_d) ** 2)))
+            return self.c1 * np.exp(-((np.asarray(velocity) / self.omega_d) ** 2))
 
     def viscous_torque(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return c2 |v|^alpha sign(v), below LINEAR_SPEED the chord of it, Nm."""
@@ -205,7 +205,7 @@ class FrictionElement(FileModel):
     def steady_torque(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return the torque after a long time at constant velocity, Nm (zero at rest)."""
         v = np.asarray(velocity, dtype=np.float64)
-        return np.asarray(np.sign(v) * self.sliding_torque(v) + self.viscous_torque(v))
+        return np.sign(v) * self.sliding_torque(v) + self.viscous_torque(v)
 
     def passivity_limit(self, max_velocity: float) -> float:
         """Return the speed, rad/s, from which the element is not passive; infinite if none up to `max_velocity`.
@@ -299,7 +299,7 @@ _MAX_POWER = 700.0  # of (|v| / omega_s)^delta: beyond it, exp(-x) is no normal 
 def stribeck_decay(velocity: Array, omega_s: float, delta: float) -> Array:
     """Return exp(-(|v| / omega_s)^delta), the remaining share of the Stribeck rise; shape of the velocity in rad/s."""
     with np.errstate(over="ignore"):  # nothing is left then
-        return np.asarray(np.exp(-((np.abs(velocity) / omega_s) ** delta)))
+        return np.exp(-((np.abs(velocity) / omega_s) ** delta))
 
 
 def stribeck_decay_slopes(
@@ -320,5 +320,5 @@ def viscous_torque(velocity: Array, c2: float, alpha: float) -> Array:
     The derivative by alpha is this torque times ln max(|v|, LINEAR_SPEED).
     """
     if alpha == 1.0:
-        return np.asarray(c2 * velocity)
-    return np.asarray(c2 * velocity * np.maximum(np.abs(velocity), LINEAR_SPEED) ** (alpha - 1.0))
+        return c2 * velocity
+    return c2 * velocity * np.maximum(np.abs(velocity), LINEAR_SPEED) ** (alpha - 1.0)

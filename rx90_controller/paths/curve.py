@@ -55,7 +55,7 @@ class Straight:
     def at(self, distance: Array, order: int) -> Array:
         """Return a derivative."""
         if order == 0:
-            return np.asarray(self.start + distance[:, None] * self.direction)
+            return self.start + distance[:, None] * self.direction
         return np.broadcast_to(self.direction if order == 1 else np.zeros(3), (len(distance), 3))
 
 
@@ -101,7 +101,7 @@ class Polynomial:
         """Return the lengths from parameters to others of the same cells, (n,)."""
         half = 0.5 * (last - first)
         at = (first + half)[:, None] + half[:, None] * _NODES
-        return np.asarray(half * (length(self._orders[1](at)) @ _WEIGHTS))
+        return half * (length(self._orders[1](at)) @ _WEIGHTS)
 
     def _parameter(self, distance: Array) -> Array:
         cell = np.clip(
@@ -120,12 +120,12 @@ class Polynomial:
         """Return a derivative, by the chain rule."""
         u = self._parameter(distance)
         if order == 0:
-            return np.asarray(self._orders[0](u))
+            return self._orders[0](u)
         first = self._orders[1](u)
         speed = length(first)[:, None]
         tangent = first / speed
         if order == 1:
-            return np.asarray(tangent)
+            return tangent
         second = self._orders[2](u)
         growth = np.sum(tangent * second, axis=1)[:, None]  # of the speed, by the parameter
         normal = second - growth * tangent
@@ -354,7 +354,7 @@ class Curve:
     @cached_property
     def corners(self) -> Mask:
         """Return whether the direction jumps where one piece follows another, (m - 1,)."""
-        return np.asarray(2.0 * np.arcsin(np.minimum(0.5 * self.jumps(1), 1.0)) > KINK)
+        return 2.0 * np.arcsin(np.minimum(0.5 * self.jumps(1), 1.0)) > KINK
 
     def jumps(self, order: int) -> Array:
         """Return by how much a derivative jumps where one piece follows another, (m - 1,)."""
@@ -419,7 +419,7 @@ class Curve:
             at = np.clip(
                 at - np.sum(off * tangent, axis=1) / np.where(slope > 0.1, slope, 1.0), low, inside
             )
-        return np.asarray(at)
+        return at
 
 
 def _point(place: Array) -> str:

@@ -147,7 +147,7 @@ class PlayedCorrection:
 def _eased(share: Array) -> Array:
     """Return shares that leave 0, and come to 1, without a slope."""
     share = np.clip(share, 0.0, 1.0)
-    return np.asarray(share * share * (3.0 - 2.0 * share))
+    return share * share * (3.0 - 2.0 * share)
 
 
 def cut_at(played: list[PlayedCorrection], now: int, begin: int) -> list[PlayedCorrection]:

@@ -96,7 +96,7 @@ class JointLimits:
 
     def outside(self, position: Array) -> Array:
         """Return how far positions, rad, shape (..., j), lie beyond the limits; 0 within."""
-        return np.asarray(np.maximum(np.maximum(self.lower - position, position - self.upper), 0.0))
+        return np.maximum(np.maximum(self.lower - position, position - self.upper), 0.0)
 
     def check_near(self, points: TrajectoryPoints, held: Array) -> None:
         """Check that the first point lies at the set-point that is held, shape (3, j).

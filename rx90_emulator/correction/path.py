@@ -98,11 +98,11 @@ class TrajectoryPath:
     def _moves(self) -> Mask:
         """Return at which of the counted set-points the tip has moved on, the first of them included."""
         steps = np.linalg.norm(np.diff(self.tip[self.counts], axis=0), axis=1)
-        return np.asarray(np.append(True, steps > _AT_REST_STEP))
+        return np.append(True, steps > _AT_REST_STEP)
 
     @cached_property
     def _corners(self) -> Array:
-        return np.asarray(self.tip[self.counts][self._moves])
+        return self.tip[self.counts][self._moves]
 
     def distance(self, tip: Array, times: Array | None = None) -> Array:
         """Return the distance of the tip's positions, m, shape (n, 3), from the path, m, shape (n,).

@@ -69,7 +69,7 @@ class ProgrammedArm:
 
     def angles(self, joints: Joints) -> Array:
         """Return joint angles, rad, shape (6,), of joint values."""
-        return np.asarray(np.radians(np.subtract(joints, self.full.zero)))
+        return np.radians(np.subtract(joints, self.full.zero))
 
     def flange(self, q: Array) -> Array:
         """Return the transformation of the flange in the robot's own world."""
@@ -118,7 +118,7 @@ class ProgrammedArm:
                 row[3] = near[3]
             row[:] = nearest_turn(row, near)
             near = row
-        return np.asarray(rows)
+        return rows
 
     def solve_target(self, flange: Array, posture: Branch, near: Array) -> Array:
         """Return the joint angles, rad, shape (6,), of a flange, where possible within the joints' ranges."""

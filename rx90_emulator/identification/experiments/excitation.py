@@ -109,7 +109,7 @@ class ExcitationSearch:
         """Return the motion of a series with a basis."""
         motion = basis @ coefficients.T
         motion[0] += self.arm.home
-        return np.asarray(motion)
+        return motion
 
     def rows(self, motion: Array) -> Array:
         """Return the columns of p parameters along a motion, each joint's over its largest torque, shape (m, n, p).
