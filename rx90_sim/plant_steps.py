@@ -38,7 +38,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -53,13 +53,13 @@ from rx90_common.friction import FrictionSet
 from rx90_common.friction.element import FrictionElement
 from rx90_common.kernels.compiled import kernel
 
-MAX_AUTOMATIC_STEPS: Final = 64
+MAX_AUTOMATIC_STEPS = 64
 """Largest number of steps in a tick that is used without a request."""
 
-MAX_STEPS: Final = 1000
+MAX_STEPS = 1000
 """Largest number of steps in a tick that can be requested."""
 
-GROWTH: Final = 0.1
+GROWTH = 0.1
 """By which a vibration of a stuck arm may grow in a second where nothing damps it, 1/s."""
 
 # Roots of x^(n + 1) = x + 1 for n = 1 to 7.

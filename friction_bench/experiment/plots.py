@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
 
 import numpy as np
 from bokeh.plotting import figure
@@ -13,7 +12,7 @@ from friction_bench.experiment.identification import RampIdentification, slopes_
 from rx90_common.report.charts import chart, over_one_x
 from rx90_common.report.style import COLOURS, GREY, INK
 
-_DASHES: Final = ("solid", "dashed", "dotted", "dashdot")
+_DASHES = ("solid", "dashed", "dotted", "dashdot")
 _TIME = "time since the torque's zero, s"
 
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from decimal import Decimal, DecimalException
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -27,9 +27,9 @@ from rx90_common.base.errors import BagError, located
 from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 
-_LAST_NS: Final = 2**31 * NANOSECONDS  # stamps of ROS end there
+_LAST_NS = 2**31 * NANOSECONDS  # stamps of ROS end there
 # rad, rad/s, Nm or A: beyond any joint, while a damaged number may be as large
-_LARGEST: Final = 1e9
+_LARGEST = 1e9
 _LOOKED_AT = 200  # lines, by which delimiter, decimal sign and header are found out
 _DECIMAL_COMMA = re.compile(r'(^|;)[\s"]*[+-]?\d*,\d+[\s"]*(;|$)')
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"

@@ -43,7 +43,7 @@ from rx90_common.base.models import (
 )
 from rx90_common.base.quoting import plain
 
-TIME_UNITS: Final = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+TIME_UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 """What a unit of time is in ns."""
 _SCALES: Final[Mapping[str, float]] = {
     "rad": 1.0, "deg": math.pi / 180.0, "turns": 2.0 * math.pi,
@@ -51,14 +51,14 @@ _SCALES: Final[Mapping[str, float]] = {
     "Nm": 1.0, "mNm": 1e-3, "A": 1.0, "mA": 1e-3, "rad/s^2": 1.0,
 }  # fmt: skip
 """What a unit is in rad, rad/s, Nm, A and rad/s^2."""
-DELIMITERS: Final = {";": ";", "tab": "\t", ",": ",", "space": " "}
+DELIMITERS = {";": ";", "tab": "\t", ",": ",", "space": " "}
 """Between columns, by their names in signal maps; space is any number of blanks and tabs."""
-ARRAYS: Final = (".parquet", ".npz")
+ARRAYS = (".parquet", ".npz")
 """Suffixes of logs of arrays."""
-TABLES: Final = (".csv", ".tsv", ".txt", ".dat", *ARRAYS)
+TABLES = (".csv", ".tsv", ".txt", ".dat", *ARRAYS)
 """Suffixes of logs in columns."""
 
-_TOPIC: Final = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*")
+_TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*")
 
 _Column: TypeAlias = Annotated[
     Annotated[int, Field(ge=1, le=100_000)] | str,
@@ -261,7 +261,7 @@ class SignalMapFile(MessageColumns):
         return [*times, *(column for field in parts for column in field.columns)]
 
 
-MESSAGE_KEYS: Final = (
+MESSAGE_KEYS = (
     *("topic", "names", "gear", "coupling", "torque_constant", "zero"),
     *("spring", "torque_delay", "record_time"),
 )

@@ -9,7 +9,7 @@ than real time.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,9 @@ _RESEND_NS = 1_000_000_000
 _OTHER_CLOCK_NS = 86_400 * NANOSECONDS
 """A stamp this far from the newest one belongs to another clock: wall-clock time among simulated times, for example."""
 
-HEADER_STAMP: Final = ENCAPSULATION
+HEADER_STAMP = ENCAPSULATION
 """Where messages that begin with a stamp have it."""
-LIST_STAMP: Final = ENCAPSULATION + 4
+LIST_STAMP = ENCAPSULATION + 4
 """Where a list of messages, behind its length, has that of the first one."""
 
 

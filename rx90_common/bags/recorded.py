@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 from rx90_common.bags.reading import BagReader, JointBag
 from rx90_common.bags.topics import JOINT_TRAJECTORY
@@ -12,8 +12,8 @@ from rx90_common.base.quoting import listed
 from rx90_common.base.rates import message_time_ns
 from rx90_common.exchange.topics import TRAJECTORY_ACCEPTED
 
-START: Final = "start"
-TRAJECTORY: Final = "trajectory"
+START = "start"
+TRAJECTORY = "trajectory"
 
 
 class RecordedTrajectory(NamedTuple):

@@ -14,7 +14,7 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final, TypeAlias
+from typing import TypeAlias
 from urllib.parse import quote
 from zlib import crc32
 
@@ -29,11 +29,11 @@ from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
 
-ACCEPTED: Final = (
+ACCEPTED = (
     "a rosbag2 folder, an .mcap, .db3 or ROS 1 .bag file, also with .zstd, "
     "or a .csv, .parquet or .npz table"
 )
-MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
+MCAP_MAGIC = b"\x89MCAP0\r\n"
 _SQLITE_MAGIC = b"SQLite format 3\0"
 _ROS1_MAGIC = b"#ROSBAG V2.0\n"
 _FOOTER = struct.Struct("<QQI")  # places of summary and offsets, checksum

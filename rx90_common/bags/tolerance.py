@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from typing import Final
 
 from rx90_common.bags.topics import FIELDS, absolute
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, quoted
 
-ANY: Final = "*"
-GRAMMAR: Final = "[TOPIC:[JOINT:]]FIELD=VALUE"
+ANY = "*"
+GRAMMAR = "[TOPIC:[JOINT:]]FIELD=VALUE"
 
 
 class Tolerances:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 from rx90_common.exchange.topics import (
     COMMANDED_CURRENT,
     CORRECTION,
@@ -14,23 +12,23 @@ from rx90_common.exchange.topics import (
     TRAJECTORY_ACCEPTED,
 )
 
-JOINT_STATE: Final = "sensor_msgs/msg/JointState"
-CLOCK: Final = "rosgraph_msgs/msg/Clock"
-STRING: Final = "std_msgs/msg/String"
-JOINT_TRAJECTORY: Final = "trajectory_msgs/msg/JointTrajectory"
-TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
-PARAMETER_EVENT: Final = "rcl_interfaces/msg/ParameterEvent"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+CLOCK = "rosgraph_msgs/msg/Clock"
+STRING = "std_msgs/msg/String"
+JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+PARAMETER_EVENT = "rcl_interfaces/msg/ParameterEvent"
 
 
-FIELDS: Final = ("position", "velocity", "effort")
+FIELDS = ("position", "velocity", "effort")
 """The arrays of a JointState."""
-POINT_FIELDS: Final = ("positions", "velocities", "accelerations", "effort")
+POINT_FIELDS = ("positions", "velocities", "accelerations", "effort")
 """The arrays of a JointTrajectoryPoint, in the order of the message."""
-EFFORT_UNIT: Final = "rx90_emulator effort unit of "
+EFFORT_UNIT = "rx90_emulator effort unit of "
 """Prefix of the key in rosbag2's custom_data that states the unit of a topic's efforts."""
-USUAL_UNITS: Final = {"position": "rad", "velocity": "rad/s", "effort": "Nm"}
+USUAL_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "Nm"}
 
-SUITE_TOPICS: Final = (
+SUITE_TOPICS = (
     "joint_states",
     "friction_states",
     "motor_states",
@@ -46,7 +44,7 @@ SUITE_TOPICS: Final = (
     "robot_description",
 )
 
-_QUANTITIES: Final = {
+_QUANTITIES = {
     "friction_states": {
         "position": ("bristle deflection", "rad"),
         "velocity": ("input velocity", "rad/s"),

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from itertools import chain
 from mmap import mmap
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -43,9 +43,9 @@ _MESSAGES_AT_ONCE = 10_000  # in memory while arrays are written
 _INFINITE = QosTime(9_223_372_036, 854_775_807)
 # Of mcap: op codes, and bytes.
 _MESSAGE = 0x05
-_CHUNK_BYTES: Final = 1 << 20  # a chunk that is larger is closed, as rosbags does
-_RECORD_HEAD: Final = 9  # op code and length
-_MESSAGE_HEAD: Final = np.dtype("u1, <u8, <u2, <u4, <u8, <u8")
+_CHUNK_BYTES = 1 << 20  # a chunk that is larger is closed, as rosbags does
+_RECORD_HEAD = 9  # op code and length
+_MESSAGE_HEAD = np.dtype("u1, <u8, <u2, <u4, <u8, <u8")
 """Op code, length of what follows, channel, sequence number, log time, time of publication."""
 # At the end of a file, before 8 bytes that say what it is: where the summary begins, and its checksum.
 _SUMMARY_BEGIN = slice(-28, -20)

@@ -44,15 +44,15 @@ Item = TypeVar("Item")
 Place: TypeAlias = tuple[str | int, ...]
 Provenance: TypeAlias = Literal["published", "derived", "assumed", "identified"]
 
-_REFUSED: Final = "refused"
-_UNKNOWN_KEY: Final = "extra_forbidden"
-_UNKNOWN_KIND: Final = "union_tag_invalid"
-_NO_KIND: Final = "union_tag_not_found"
-_MISSING: Final = {"missing", _NO_KIND}
-_MAX_FAULTS: Final = 20
+_REFUSED = "refused"
+_UNKNOWN_KEY = "extra_forbidden"
+_UNKNOWN_KIND = "union_tag_invalid"
+_NO_KIND = "union_tag_not_found"
+_MISSING = {"missing", _NO_KIND}
+_MAX_FAULTS = 20
 """That are told at most."""
-_SIGNS: Final = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
-_NULL: Final = {"type": "null"}
+_SIGNS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
+_NULL = {"type": "null"}
 _OF_ALL_KINDS: Final[tuple[str, ...]] = (
     "accepted",
     "description",

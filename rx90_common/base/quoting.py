@@ -12,12 +12,11 @@ import reprlib
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from itertools import islice
-from typing import Final
 from unicodedata import category
 
-LIMIT: Final = 120
+LIMIT = 120
 """Characters of a quoted value, as far as the caller gives no other limit."""
-LINE_LIMIT: Final = 2000
+LINE_LIMIT = 2000
 """Characters of a whole message."""
 
 _ELLIPSIS = "…"
@@ -125,7 +124,7 @@ class _Repr(reprlib.Repr):
         return repr(x) if digits <= _LONGEST_INTEGER else f"an integer of some {digits:,} digits"
 
 
-_REPR: Final = _Repr()
+_REPR = _Repr()
 
 
 def breaks_a_line(text: str) -> bool:

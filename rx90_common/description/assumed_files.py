@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -20,7 +20,7 @@ from rx90_common.description.coupling import Coupling
 from rx90_common.description.robot import RobotModel
 from rx90_common.rigid_torque import configurations
 
-_POSES: Final = 200
+_POSES = 200
 _GEAR = 100.0
 _COUNTS = 65536
 _OBSERVER_HZ = 400.0
@@ -31,7 +31,7 @@ _HALF_CRITICAL = 0.5
 # 1/s, of all velocity loops together in the arm's lightest pose; the observer has 2500
 _FASTEST = 1000.0
 _HIGHEST_KV = 400.0  # 1/s
-FULL_SPEED_TIME: Final = 0.5
+FULL_SPEED_TIME = 0.5
 """Time, s, in which a joint reaches its speed limit with the default acceleration."""
 _SOURCE = "nothing is known of it: chosen in proportion to the arm's inertia and to the efforts of its URDF"
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 from pydantic import (
@@ -332,9 +332,9 @@ class EndStops(FileModel):
     ]
 
 
-RIGID: Final = Elasticity(stiffness=(math.inf,))
-NO_COGGING: Final = Cogging(harmonic=(), amplitude=())
-COLD: Final = Windings(
+RIGID = Elasticity(stiffness=(math.inf,))
+NO_COGGING = Cogging(harmonic=(), amplitude=())
+COLD = Windings(
     resistance=(0.0,),
     thermal_resistance=(math.inf,),
     heat_capacity=(math.inf,),
@@ -342,7 +342,7 @@ COLD: Final = Windings(
     derating=math.inf,
     limit=math.inf,
 )
-IDEAL_SENSOR: Final = CurrentSensor(bandwidth=800.0)
+IDEAL_SENSOR = CurrentSensor(bandwidth=800.0)
 
 
 class DriveParameters(FileModel):
@@ -472,7 +472,7 @@ class DriveParameters(FileModel):
         return self.turning.coupled(self.rotor_inertia)
 
 
-_OPTIONAL: Final = ("elasticity", "cogging", "winding", "current_sensor")
+_OPTIONAL = ("elasticity", "cogging", "winding", "current_sensor")
 """The blocks of what is ideal if it is left out."""
 
 

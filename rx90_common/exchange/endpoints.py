@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any, Final
+from typing import Any
 
 from builtin_interfaces.msg import Time
 from rclpy.callback_groups import CallbackGroup
@@ -36,15 +36,15 @@ _PATIENCE = 6.0  # s; the lease of a process that was killed, in config/dds, is 
 # All are reliable, as rclpy has it by default.
 # Deep enough that a recorder which does not run for a second loses nothing. KEEP_ALL would stop the tick instead, for
 # as long as the lease of a recorder that was killed.
-TICK_QOS: Final = QoSProfile(depth=8000)
-STATE_QOS: Final = QoSProfile(depth=2000)
-CLOCK_QOS: Final = QoSProfile(depth=10)
+TICK_QOS = QoSProfile(depth=8000)
+STATE_QOS = QoSProfile(depth=2000)
+CLOCK_QOS = QoSProfile(depth=10)
 # Also for subscribers that come later.
-LATCHED_QOS: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LATCHED_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # A burst is answered one by one, each with a line of its own; planning takes longer than sending.
-TRAJECTORY_QOS: Final = QoSProfile(depth=1000)
+TRAJECTORY_QOS = QoSProfile(depth=1000)
 # ROS keeps 10 requests that wait for their turn, and drops the next ones without a word.
-REQUEST_QOS: Final = QoSProfile(depth=2000)
+REQUEST_QOS = QoSProfile(depth=2000)
 
 
 def ros_time(nanoseconds: int) -> Time:

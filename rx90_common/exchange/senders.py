@@ -5,12 +5,12 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator
 from functools import cache
-from typing import Any, Final
+from typing import Any
 
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
-NAMES_SENDERS: Final = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_connextdds")
+NAMES_SENDERS = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_connextdds")
 """Middlewares whose messages have the GID of DDS; those of others equal that of no process, and count as strangers'."""
 
 _OK = 0

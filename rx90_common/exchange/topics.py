@@ -5,61 +5,60 @@ from __future__ import annotations
 import re
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Final
 
 from rx90_common.base.errors import ConfigError, ExchangeError, MessageError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import Rates
 
-MOTOR_STATES: Final = "motor_states"
-MOTOR_COMMANDS: Final = "motor_commands"
-JOINT_COMMANDS: Final = "joint_commands"
+MOTOR_STATES = "motor_states"
+MOTOR_COMMANDS = "motor_commands"
+JOINT_COMMANDS = "joint_commands"
 """Efforts at the joints, in place of MOTOR_COMMANDS."""
-MEASURED_JOINT_STATES: Final = "measured_joint_states"
+MEASURED_JOINT_STATES = "measured_joint_states"
 """Measurements of the drives, converted to the joints: the states that JOINT_COMMANDS answer."""
-MOTOR_INTERFACE: Final = "motor"
-JOINT_INTERFACE: Final = "joint"
-COMMAND_INTERFACES: Final = {
+MOTOR_INTERFACE = "motor"
+JOINT_INTERFACE = "joint"
+COMMAND_INTERFACES = {
     MOTOR_INTERFACE: (MOTOR_STATES, MOTOR_COMMANDS),
     JOINT_INTERFACE: (MEASURED_JOINT_STATES, JOINT_COMMANDS),
 }
 """The sides on which the simulation can be commanded, each with the topics of states and of commands."""
-REFERENCE: Final = "reference"
+REFERENCE = "reference"
 """Private topic of the controller: its set-points."""
-TRAJECTORY_ACCEPTED: Final = "trajectory_accepted"
+TRAJECTORY_ACCEPTED = "trajectory_accepted"
 """Private topic of the controller: the trajectory that it follows, stamped with its start time."""
-COMMANDED_TRAJECTORY: Final = "joint_trajectory"
+COMMANDED_TRAJECTORY = "joint_trajectory"
 """Private topic of the controller: the trajectory that it is to follow."""
-OF_ACTION: Final = "follow_joint_trajectory"
+OF_ACTION = "follow_joint_trajectory"
 """Frame of the messages on TRAJECTORY_ACCEPTED that came as goals, and not on COMMANDED_TRAJECTORY."""
-CORRECTION: Final = "correction"
+CORRECTION = "correction"
 """Private topic of the controller: offsets of the position set-points, while a correction is played."""
-COMMANDED_CORRECTION: Final = "commanded_correction"
+COMMANDED_CORRECTION = "commanded_correction"
 """Private topic of the controller: offsets for the trajectory with the identity in their frame, sent before it."""
-CORRECTED: Final = "corrected"
+CORRECTED = "corrected"
 """Frame of a trajectory that is refused where its correction has not come before it."""
-PARAMETERS: Final = "parameters"
+PARAMETERS = "parameters"
 """Private topic of both nodes: parameters that may be changed while they run, stamped with the time of each change."""
-SEED: Final = "seed"
+SEED = "seed"
 """Parameter of the simulation, which its topic PARAMETERS publishes: of all that is random in the arm."""
-REFERENCE_ACCELERATION: Final = "reference_acceleration"
-COMMANDED_CURRENT: Final = "commanded_current"
-MOTOR_CURRENT: Final = "motor_current"
-DETAILS: Final = (REFERENCE_ACCELERATION, COMMANDED_CURRENT, MOTOR_CURRENT)
+REFERENCE_ACCELERATION = "reference_acceleration"
+COMMANDED_CURRENT = "commanded_current"
+MOTOR_CURRENT = "motor_current"
+DETAILS = (REFERENCE_ACCELERATION, COMMANDED_CURRENT, MOTOR_CURRENT)
 """Private topics of the controller: signals of the paper's block diagram that are not on the other topics."""
-DETAIL_DECIMATION: Final = 10
+DETAIL_DECIMATION = 10
 """Ticks of the position loop for each message of these."""
-SAMPLED: Final = "sampled"
+SAMPLED = "sampled"
 """Namespace of the topics on which the simulation publishes its states for viewers."""
-SAMPLED_RATE: Final = 100
+SAMPLED_RATE = 100
 """Of these, Hz of simulated time."""
-MAX_DISPLAY_RTF: Final = 1.2
+MAX_DISPLAY_RTF = 1.2
 """Simulated s in one of the wall clock above which viewers are shown fewer samples."""
-TIME_MODE: Final = "time_mode"
+TIME_MODE = "time_mode"
 """Latched by the simulation: the time mode; the controller follows it."""
-LOCK_STEP: Final = "lock_step"
-FREE_RUNNING: Final = "free_running"
-TIME_MODES: Final = (LOCK_STEP, FREE_RUNNING)
+LOCK_STEP = "lock_step"
+FREE_RUNNING = "free_running"
+TIME_MODES = (LOCK_STEP, FREE_RUNNING)
 _TIME_MODE = re.compile(
     rf"({LOCK_STEP}|{FREE_RUNNING}) base_rate=(\d+) position_rate=(\d+)(?: robot=(.*))?", re.DOTALL
 )

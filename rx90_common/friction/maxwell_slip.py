@@ -33,7 +33,7 @@ With an attraction without bound that is c1 |v| <= T(v) a_i / k_i; LuGre's bound
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,7 @@ from rx90_common.friction.bristle import damping, decay, sliding_torque, viscous
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, lane, load, prefix_sum, select, store
 
-MAX_BLOCKS: Final = 10
+MAX_BLOCKS = 10
 """Of an element."""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from bokeh.models import HoverTool, Line, LogScale, PlainText, Scatter
@@ -14,7 +14,7 @@ from bokeh.themes import Theme
 
 from rx90_common.report.few_points import few_points
 
-MOST_POINTS: Final = 80_000
+MOST_POINTS = 80_000
 """In all lines of a page: about 1 MB."""
 _FEWEST = 40  # points of a line
 _FONT = "system-ui, sans-serif"
@@ -23,7 +23,7 @@ _WRAPPED = """
 .bk-grid { display: flex; flex-wrap: wrap; width: auto; gap: 0 0.9em; }
 .bk-label { white-space: normal; }
 """
-THEME: Final = Theme(
+THEME = Theme(
     json={
         "attrs": {
             "Plot": {

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Final
 
 from bokeh.embed import components
 from bokeh.plotting import figure
@@ -17,7 +16,7 @@ from markupsafe import Markup
 from rx90_common.base.share import share_directory
 from rx90_common.report.charts import THEME, join, thin
 
-_RESOURCES: Final = Resources(mode="inline", components=["bokeh"], log_level="warn")
+_RESOURCES = Resources(mode="inline", components=["bokeh"], log_level="warn")
 _PLACE = "<!--figure {}-->"  # text from outside is escaped, so that nobody else writes it
 _TERMS = "<!--terms-->"
 _LOT = r"\w{8}-\w{4}-\w{4}-\w{4}-\w{12}"

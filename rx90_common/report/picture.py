@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -16,7 +16,7 @@ from matplotlib.ticker import LogLocator
 
 from rx90_common.process.files import write_all
 
-WIDTH: Final = 8.2
+WIDTH = 8.2
 """Of a picture, inches."""
 _FEW_DECADES = 1e3  # on a logarithmic axis: room for 1, 2 and 5 of each
 # Any: matplotlib types the keys one by one.

@@ -21,7 +21,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Annotated, Any, Final, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -70,7 +70,7 @@ from rx90_common.kernels.lanes import Lanes, fma, load, size, store
 
 INVERSE_DYNAMICS, FRICTION = 1, 2
 """Bits of `parts`: the parts that are on."""
-FRESH: Final = -1
+FRESH = -1
 """`parts` of a state that has been through no position tick."""
 
 
@@ -114,7 +114,7 @@ def model_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     )
 
 
-ROLES: Final = ("urdf", "tool", "drives", "friction")
+ROLES = ("urdf", "tool", "drives", "friction")
 """The files of a model, by their names in the block `model` and in ModelFiles."""
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Annotated, Any, Final, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
@@ -51,7 +51,7 @@ def controller_dtype(arm: ArmSize) -> np.dtype[np.void]:
     )
 
 
-MODEL_PARTS: Final = ("inverse_dynamics", "friction_model")
+MODEL_PARTS = ("inverse_dynamics", "friction_model")
 """Switches of the feed-forward by a model of arm and friction."""
 
 _Inertia: TypeAlias = Annotated[float, Field(gt=0.0, le=1e5)]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, Final
+from typing import Any
 
 from controller_manager_msgs.msg import ControllerState, HardwareComponentState, HardwareInterface
 from controller_manager_msgs.srv import (
@@ -35,7 +35,7 @@ from rx90_common.exchange.pacing import ThrottledLog
 from rx90_controller.node.parameters import COMMAND_INTERFACES, STATE_INTERFACES
 from rx90_controller.node.servo_loop import ServoLoop
 
-TYPE: Final = "joint_trajectory_controller/JointTrajectoryController"
+TYPE = "joint_trajectory_controller/JointTrajectoryController"
 """The type by which MoveIt and rqt_joint_trajectory_controller know whom to speak to, and how."""
 _BASE_CLASS = "controller_interface::ControllerInterface"
 _COMPONENT_TYPE = "system"

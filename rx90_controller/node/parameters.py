@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from functools import partial
-from typing import Annotated, Any, Final, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 from pydantic import Field
 
@@ -32,12 +32,12 @@ _UNUSED_PARAMETERS = re.compile(
     r"|set_last_command_interface_value_as_state_on_activation|gains\..+"
     r"|constraints\.(decelerate_on_cancel|[^.]+\.max_deceleration_on_cancel))"
 )
-COMMAND_INTERFACES: Final = ("position",)
-STATE_INTERFACES: Final = ("position", "velocity")
+COMMAND_INTERFACES = ("position",)
+STATE_INTERFACES = ("position", "velocity")
 """What the controller takes and measures of each joint, in the words of ros2_control."""
-LAW_BLOCKS: Final = ("servo", "feed_forward", "supervision")
+LAW_BLOCKS = ("servo", "feed_forward", "supervision")
 """Mappings of a controller file whose values may change while the loops run."""
-OF_ROBOT: Final = (*LAW_BLOCKS, "joints", "command_interfaces", "state_interfaces")
+OF_ROBOT = (*LAW_BLOCKS, "joints", "command_interfaces", "state_interfaces")
 """Parameters of the arm and its law, which another robot has otherwise."""
 _rate = partial(quantity, "Hz", ge=0.1, le=20000.0)
 

@@ -10,13 +10,12 @@ import argparse
 import inspect
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
 
 from rx90_emulator.cli.frame import VERBS
 from rx90_emulator.cli.node import NODES
 from rx90_emulator.cli.options import command_of, module_of, new_file, new_folder, place
 
-_SHELLS: Final = ("bash", "zsh", "fish")
+_SHELLS = ("bash", "zsh", "fish")
 _FILES = {
     "FILE",
     "ROBOT",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 from rx90_common.base.config import read_yaml
 from rx90_common.base.models import FileModel, Model, unit_at
@@ -22,7 +22,7 @@ OTHERS = "others"
 """The key under which a file says something of all values that it does not name."""
 _MAX_ALIGNED_WIDTH = 64  # characters; a longer value moves the rest of its line to the right
 
-_FOR_READERS: Final = (*FileModel.about_keys, "identification")
+_FOR_READERS = (*FileModel.about_keys, "identification")
 """Keys that hold no values of a setup."""
 
 Place = tuple[str, ...]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -54,7 +54,7 @@ Measurement: TypeAlias = Literal[
 ]
 """By what and where a trial was measured; path errors that were measured in another way cannot be compared."""
 _LONGEST = 600_000  # set-points: the feedback of norm-optimal takes 1.5 kB for each
-MAX_WORSE_TRIALS: Final = 4
+MAX_WORSE_TRIALS = 4
 """Successive worse trials, after which learning has failed: if an eighth of a step is still worse, the step is not too
 long but has the wrong direction."""
 _OFFSET_TOLERANCE = 1e-7  # rad: of offsets, far below an encoder's count

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from rx90_emulator.loop.setup import Setup
 JOINT_STATES = "joint_states"
 MessageOptions: TypeAlias = RobotOptions | MeasuredLayout
 Options = TypeVar("Options", RobotOptions, MeasuredLayout)
-NO_OPTIONS: Final = MeasuredLayout()
+NO_OPTIONS = MeasuredLayout()
 _ONE_EACH = ("names", "gear", "torque_constant", "zero", "rotor_inertia", "spring")
 
 

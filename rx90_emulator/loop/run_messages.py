@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from rx90_common.bags.writing import SingleMessage
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.message_types import typestore
 
-_INTEGER: Final = 2  # of rcl_interfaces/ParameterType
+_INTEGER = 2  # of rcl_interfaces/ParameterType
 
 
 def parameter_message(topic: str, node: str, name: str, number: int) -> SingleMessage:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -23,11 +23,11 @@ from rx90_emulator.loop.setup import Setup
 from rx90_emulator.vplus.motion import MotionQueue, ProgrammedArm
 from rx90_emulator.vplus.values import VplusError
 
-PERIOD: Final = 16e-3
+PERIOD = 16e-3
 """Of set-points, s, from one beat to the next."""
-_INPUTS: Final = frozenset(range(1001, 2001))
-_OUTPUTS: Final = frozenset([*range(1, 1001), *range(2001, 4001)])
-_ACCEPTED_INPUTS: Final = (
+_INPUTS = frozenset(range(1001, 2001))
+_OUTPUTS = frozenset([*range(1, 1001), *range(2001, 4001)])
+_ACCEPTED_INPUTS = (
     "inputs from 1001 to 2000, and times >= 0 at which each goes on, off and so on, s, increasing"
 )
 

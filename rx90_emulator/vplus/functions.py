@@ -19,14 +19,14 @@ from rx90_emulator.vplus.transformations import X, Y, Z, frame, inverse, placed,
 from rx90_emulator.vplus.tree import Tree, entries
 from rx90_emulator.vplus.values import NUMBERS, Cell, Format, Joints, Value, VplusError
 
-_LARGEST_WIDTH: Final = 128
-_SAME: Final = 1e-3  # mm, and 1e-3 of a turn's matrix
-_FORMAT: Final = re.compile(r"([DEFGHIO])(\d{0,3})(?:\.(\d{1,2}))?$")
-_CODES: Final = {"H": "X", "I": "d", "O": "o"}
-_NUMBER: Final = re.compile(
+_LARGEST_WIDTH = 128
+_SAME = 1e-3  # mm, and 1e-3 of a turn's matrix
+_FORMAT = re.compile(r"([DEFGHIO])(\d{0,3})(?:\.(\d{1,2}))?$")
+_CODES = {"H": "X", "I": "d", "O": "o"}
+_NUMBER = re.compile(
     r"\s*(?:\^B([01]+)|\^O([0-7]+)|\^H([0-9A-F]+)|([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?))"
 )
-_BASES: Final = (2, 8, 16)
+_BASES = (2, 8, 16)
 
 
 def _signed(number: int) -> int:
@@ -229,4 +229,4 @@ _STATE: Final[dict[str, Any]] = {
     "ERROR  integer": lambda task, _: task.error,
     "IOSTAT  integer": lambda *_: 1,
 }
-FUNCTIONS: Final = entries(_VALUES, of_task=False) | entries(_STATE, of_task=True)
+FUNCTIONS = entries(_VALUES, of_task=False) | entries(_STATE, of_task=True)

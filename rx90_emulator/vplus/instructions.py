@@ -18,16 +18,16 @@ from rx90_emulator.vplus.transformations import aligned, six_numbers, trans
 from rx90_emulator.vplus.tree import Reference, Tree, entries
 from rx90_emulator.vplus.values import Cell, Joints, Value, VplusError, bounded
 
-_UNITS: Final = {"MMPS": 1.0, "IPS": 25.4}  # mm/s
-_NULL_TIME: Final = 2.0  # s, until errors must be small
-_STRAIGHT: Final = ("MOVES", "MOVEST", "APPROS", "DEPARTS", "ALIGN")
-_HAND: Final = {"O": (3001, -3002), "C": (-3001, 3002), "R": (-3001, -3002)}
+_UNITS = {"MMPS": 1.0, "IPS": 25.4}  # mm/s
+_NULL_TIME = 2.0  # s, until errors must be small
+_STRAIGHT = ("MOVES", "MOVEST", "APPROS", "DEPARTS", "ALIGN")
+_HAND = {"O": (3001, -3002), "C": (-3001, 3002), "R": (-3001, -3002)}
 """Signals of the hand: open, closed, relaxed."""
-_BETWEEN: Final = re.compile(r"\s*,\s*|(?<=[\d.])\s+(?=[-+.\d])")
-_NO_UNITS: Final = {None, 0.0, 1.0}
+_BETWEEN = re.compile(r"\s*,\s*|(?<=[\d.])\s+(?=[-+.\d])")
+_NO_UNITS = {None, 0.0, 1.0}
 """Units that take nothing that is typed: the robot, and its pendant."""
-_CONFIGURATIONS: Final = ("RIGHTY", "LEFTY"), ("ABOVE", "BELOW"), ("NOFLIP", "FLIP")
-_REFUSED: Final = {
+_CONFIGURATIONS = ("RIGHTY", "LEFTY"), ("ABOVE", "BELOW"), ("NOFLIP", "FLIP")
+_REFUSED = {
     "VPICTURE VLOCATE VFEATURE VSHOW VTRAIN VDISPLAY": "vision is not emulated",
     "ALTER ALTON ALTOFF": "ALTER needs a licensed option",
     "FORCE.READ FORCE.MODE FORCE.FRAME FORCE.OFFSET": "force sensing is not emulated",
@@ -491,7 +491,7 @@ _ACTIONS: Final[dict[str, Any]] = {
     "SELECT=  tree*": _nothing,
     "ATTACH DETACH MULTIPLE SINGLE OVERLAP NOOVERLAP": _nothing,
 }
-CONTROL: Final = entries(_CONTROL, of_task=True)
-INSTRUCTIONS: Final = CONTROL | entries(_ACTIONS, of_task=True)
-REFUSED: Final = {word: reason for words, reason in _REFUSED.items() for word in words.split()}
+CONTROL = entries(_CONTROL, of_task=True)
+INSTRUCTIONS = CONTROL | entries(_ACTIONS, of_task=True)
+REFUSED = {word: reason for words, reason in _REFUSED.items() for word in words.split()}
 """Instructions and functions that are not there, and why."""

@@ -37,24 +37,22 @@ class Ask(str):
     __slots__ = ()
 
 
-_DOT: Final = Ask(".")
+_DOT = Ask(".")
 Dialogue: TypeAlias = Generator["str | None", str, Any]
 Command: TypeAlias = Callable[["Monitor", str], "Dialogue | None"]
-_PLACES: Final = (np.ndarray, Joints)
-_COLUMNS: Final = "X/J1      Y/J2      Z/J3      y/J4      p/J5      r/J6"
-_FILE: Final = re.compile(r"[\w-]+(\.\w+)?", re.ASCII)
-_CALLED: Final = re.compile(
-    r"(?:/C\s*)?(?:\d\s+)?([^,(]+(?:\(.*\))?)\s*(?:,\s*(-?\d+).*)?", re.IGNORECASE
-)
-_LONGEST_LINE: Final = 1000
-_MOST_BYTES: Final = 4096
+_PLACES = (np.ndarray, Joints)
+_COLUMNS = "X/J1      Y/J2      Z/J3      y/J4      p/J5      r/J6"
+_FILE = re.compile(r"[\w-]+(\.\w+)?", re.ASCII)
+_CALLED = re.compile(r"(?:/C\s*)?(?:\d\s+)?([^,(]+(?:\(.*\))?)\s*(?:,\s*(-?\d+).*)?", re.IGNORECASE)
+_LONGEST_LINE = 1000
+_MOST_BYTES = 4096
 """In a beat."""
-_LATEST: Final = 0.3
+_LATEST = 0.3
 """Time that is made up for, s; a machine that is slower than that is slower than the wall clock."""
-_INTERRUPT: Final = 3
-_ENDS: Final = "\r\n", "\n\r"
+_INTERRUPT = 3
+_ENDS = "\r\n", "\n\r"
 """Of a line, as pairs; half a pair is one, too."""
-_BITS: Final = 10
+_BITS = 10
 """Of a byte on a line with 8 data bits, no parity and a stop bit."""
 
 

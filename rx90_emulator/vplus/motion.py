@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final
 
 import numpy as np
 
@@ -26,17 +25,17 @@ from rx90_emulator.loop.setup import Setup
 from rx90_emulator.vplus.transformations import inverse, placed
 from rx90_emulator.vplus.values import Joints, VplusError
 
-_MM: Final = 1e3
-_SINGULAR: Final = 1e-7
+_MM = 1e3
+_SINGULAR = 1e-7
 """Sine of joint 5 below which joints 4 and 6 turn about one axis: joint 4 stays then."""
-_SLACK: Final = 1e-6  # rad, at the limits
-_TURN: Final = 2.0 * math.pi
-_STEP: Final = 1e-4  # s, of differences
-_GRID: Final = 8e-3  # s, between places on a line that are checked beforehand
-_MOST_PLACES: Final = 4000
-_RATE_TIME: Final = 0.3  # s in which the monitor speed goes from 0 to 100 %
-_OVERSHOOT: Final = 1.5  # of the peak acceleration of a ramp without jumps
-_SHORTEST_WAY: Final = 1e-9
+_SLACK = 1e-6  # rad, at the limits
+_TURN = 2.0 * math.pi
+_STEP = 1e-4  # s, of differences
+_GRID = 8e-3  # s, between places on a line that are checked beforehand
+_MOST_PLACES = 4000
+_RATE_TIME = 0.3  # s in which the monitor speed goes from 0 to 100 %
+_OVERSHOOT = 1.5  # of the peak acceleration of a ramp without jumps
+_SHORTEST_WAY = 1e-9
 
 
 class ProgrammedArm:

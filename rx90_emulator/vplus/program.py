@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from functools import cache
 from io import StringIO
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from lark import Lark, Transformer, v_args
 from lark import Tree as Rule
@@ -39,15 +39,15 @@ from rx90_emulator.vplus.values import (
     plain_name,
 )
 
-SUFFIXES: Final = (".v2", ".pg", ".lc", ".rv", ".st")
-_LONGEST_LINE: Final = 255
-_LARGEST_LABEL: Final = 65535
-_LARGEST_FILE: Final = 20_000_000
-_LOCATION: Final = 6
-_RESERVED: Final = "TO BY OF STEP THEN DO AND OR XOR NOT MOD COM ALWAYS LAST POS DX DY DZ BELOW"
-_DECLARATIONS: Final = ("AUTO", "LOCAL", "GLOBAL")
-_LOOPS: Final = ("FOR", "WHILE", "DO")
-_INSIDE: Final = {
+SUFFIXES = (".v2", ".pg", ".lc", ".rv", ".st")
+_LONGEST_LINE = 255
+_LARGEST_LABEL = 65535
+_LARGEST_FILE = 20_000_000
+_LOCATION = 6
+_RESERVED = "TO BY OF STEP THEN DO AND OR XOR NOT MOD COM ALWAYS LAST POS DX DY DZ BELOW"
+_DECLARATIONS = ("AUTO", "LOCAL", "GLOBAL")
+_LOOPS = ("FOR", "WHILE", "DO")
+_INSIDE = {
     "IF_THEN": ("ELSE", "END"),
     "CASE": ("VALUE", "ANY", "END"),
     "FOR": ("END",),

@@ -33,7 +33,7 @@ from rx90_emulator.vplus.values import (
 
 Waits: TypeAlias = Iterator[str]
 """What is waited for, in a word, once in each beat."""
-_DEEPEST: Final = 1000
+_DEEPEST = 1000
 """Calls within each other."""
 _TYPES: Final[dict[str, Any]] = {
     "text": str,
@@ -45,8 +45,8 @@ _TYPES: Final[dict[str, Any]] = {
     "any": object,
 }
 """Types of the values that kinds of arguments stand for; all others are reals."""
-_RANGES: Final = {"percent": (0.001, 1000.0), "seconds": (0.0, 86_400.0), "joint": (1.0, 6.0)}
-OF_EXECUTE: Final = {
+_RANGES = {"percent": (0.001, 1000.0), "seconds": (0.0, 86_400.0), "joint": (1.0, 6.0)}
+OF_EXECUTE = {
     "SPEED": 100.0,
     "ROTARY": 100.0,
     "DURATION": 0.0,

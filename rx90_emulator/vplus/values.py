@@ -8,14 +8,14 @@ both are from memory of the manuals, and every message says so of its number.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import FailureError, Rx90Error
 
-NUMBERS: Final = {
+NUMBERS = {
     "Program not executable": -307,
     "Undefined value": -401,
     "Illegal value": -402,
@@ -96,7 +96,7 @@ class Format:
 
 
 Value: TypeAlias = float | str | Joints | Array | Format
-KINDS: Final = {
+KINDS = {
     float: "real",
     str: "string",
     Joints: "precision point",

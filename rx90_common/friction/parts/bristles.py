@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Any, Final, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,10 +26,10 @@ from rx90_common.friction.parts.part import FrictionPart, Part, Surroundings
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lanes import Lanes
 
-LUGRE_PASSIVITY: Final = 4.0
+LUGRE_PASSIVITY = 4.0
 """Of `passivity_factor`: LuGre's bristle is passive where c1 |v| < 4 c0 g(v) (Barahanov and Ortega 2000)."""
 
-MAX_BREAK_AWAY: Final = 0.9
+MAX_BREAK_AWAY = 0.9
 """Of `break_away`: nearer to 1 the way from break-away to sliding is a corner."""
 
 _SUM_ERROR = 1e-9  # of stiffnesses and shares, which are given in decimals

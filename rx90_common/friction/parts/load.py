@@ -38,7 +38,7 @@ The part only adds to the sliding torque, so it does not reduce the passivity of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Final, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -56,7 +56,7 @@ DIRECTIONS = ("driving", "driven")
 RELAX_TIME = 1e-3
 """Time constant with which the friction follows the load, unless a file gives another, s."""
 
-LARGEST_COEFFICIENT: Final = 0.95
+LARGEST_COEFFICIENT = 0.95
 """Largest Coulomb torque over load torque: below 1 the loop above is stable."""
 
 _Coefficient: TypeAlias = Annotated[float, quantity("1", "", ge=0.0, le=LARGEST_COEFFICIENT)]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,9 +16,9 @@ from rx90_common.base.models import FileModel, accepted_values, schema_of
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lanes import Lanes
 
-MIN_SPEED: Final = 1e-9
+MIN_SPEED = 1e-9
 """Least Stribeck and fading velocity, rad/s: rest for all practical purposes, while 1 / v is still a number."""
-LINEAR_SPEED: Final = 1e-3
+LINEAR_SPEED = 1e-3
 """The speed, rad/s, below which the viscous part is linear whatever its exponent: motion this slow is presliding."""
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 from bokeh.models import ColumnDataSource
@@ -17,9 +16,9 @@ from rx90_emulator.identification.validation.prediction import TipDistance
 from rx90_emulator.identification.validation.verdict import TorquePrediction
 
 DRAWN_S = 60.0  # s of a run in a plot: more could not be resolved
-_RECORDED: Final = COLOURS[5]
-_PREDICTED: Final = COLOURS[1]
-DIFFERENCE: Final = COLOURS[6]
+_RECORDED = COLOURS[5]
+_PREDICTED = COLOURS[1]
+DIFFERENCE = COLOURS[6]
 _SPEED = "speed of the element, rad/s"
 _INTERVAL = 1.96  # standard deviations, 95 %
 
