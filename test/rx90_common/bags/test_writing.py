@@ -2,7 +2,9 @@
 
 import errno
 import os
+import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from zlib import crc32
 
@@ -14,6 +16,7 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
 
+from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.bags.writing import (
     BagWriter,
@@ -24,6 +27,7 @@ from rx90_common.bags.writing import (
     write_joint_states,
 )
 from rx90_common.base.errors import FAILED, REFUSED, BagError, BagWriteError
+from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.message_types import typestore
 
 
@@ -126,6 +130,21 @@ def test_mistakes_are_refused(tmp_path: Path, call: Any, complaint: str) -> None
         call(tmp_path)
     assert refusal.value.exit_code == REFUSED
     assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_bag_is_whole_when_the_disk_is_nearly_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Writing stops with a clear line while index and metadata still fit; what was written can be read."""
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=5 << 20))
+    written = series(3000)
+    bag = BagWriter(tmp_path / "bag")
+    numbers = np.full(3000, bag.add_topic("joint_states", JOINT_STATE, offered_qos()))
+    messages = [*map(bytes, JointStateCodec(written.names).encode_many(written.stamp_ns, *written.fields.values()))]
+    with pytest.raises(BagWriteError, match=r"nearly full \(5 MiB left; accepted: 64 MiB or more\)$") as failure:
+        bag.write_many(numbers[:2000], written.stamp_ns[:2000], messages[:2000])
+    assert failure.value.exit_code == FAILED
+    bag.close()
+    read = read_joint_states(tmp_path / "bag", "joint_states")
+    np.testing.assert_array_equal(read.stamp_ns, written.stamp_ns[:2000])
 
 
 def test_no_room_for_a_new_bag_is_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

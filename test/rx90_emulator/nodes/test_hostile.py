@@ -41,6 +41,8 @@ NODES = ("rx90_sim", "rx90_controller", "friction_bench")
 NAMES = ("", "a\n[FATAL] [1.0] [rx90_sim]: forged", "n" * 100_000, "qos_overrides./tf.publisher.depth", "\x1b[2J\u202e")
 KNOWN = {"rx90_sim": "step_ticks", "rx90_controller": "base_rate", "friction_bench": "ramp_slope"}
 VALUES = (
+    ParameterValue(type=77),
+    ParameterValue(type=255, string_value=NAMES[2]),
     *(ParameterValue(type=kind) for kind in range(10)),
     ParameterValue(type=3, double_value=float("nan")),
     ParameterValue(type=2, integer_value=-(2**63)),
