@@ -72,6 +72,7 @@ def requests(known: str) -> Iterator[tuple[Any, dict[str, Any]]]:
     yield ListParameters, {"prefixes": [*NAMES], "depth": 2**64 - 1}
     for name in NAMES:
         yield GetTypeDescription, {"type_name": name, "type_hash": "RIHS01_" + 64 * "0"}
+        yield GetTypeDescription, {"type_name": "x", "type_hash": name}
 
 
 def trajectory() -> JointTrajectory:
