@@ -21,10 +21,13 @@ from rx90_common.bags.topics import CLOCK, JOINT_STATE, TRANSFORMS, reports_chan
 from rx90_common.bags.writing import offered_qos
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
+from rx90_common.exchange.arrivals import ReceiveBatching
 from rx90_common.exchange.message_types import message_class, types_with
 from rx90_common.exchange.ros_start import reason
 
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
+# s; the messages in it at 30,000 per second fit into a socket with Linux' default size
+_PAUSE = 0.002
 _HEADER = "std_msgs/Header"
 
 
@@ -118,6 +121,7 @@ class Streams:
 
     def __init__(self, node: Node, topics: Sequence[str]) -> None:
         self._node = node
+        self._batching = ReceiveBatching(_PAUSE)
         self._found: dict[str, Stream | None] = {}
         for topic in topics:
             try:
@@ -143,10 +147,9 @@ class Streams:
             publishers = self._node.get_publishers_info_by_topic(topic)
             endpoints = publishers or self._node.get_subscriptions_info_by_topic(topic)
             if endpoints:
-                published = bool(publishers)
-                self._found[topic] = Stream(
-                    self._node, topic, place, endpoints, published=published
-                )
+                added = Stream(self._node, topic, place, endpoints, published=bool(publishers))
+                self._batching.include(added.subscription)
+                self._found[topic] = added
         return not self.missing()
 
     def missing(self) -> list[str]:
