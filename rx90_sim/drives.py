@@ -140,7 +140,7 @@ def winding_dtype(motors: int) -> np.dtype[np.void]:
 def fill_windings(record: Any, windings: Windings, torque_constant: Array) -> None:
     """Write the constants."""
     record["used"] = windings.used
-    record["initial"] = windings.start
+    record["initial"] = windings.initial
     if windings.used:
         capacity = np.array(windings.heat_capacity)
         record["heat"] = windings.resistance / (capacity * torque_constant * torque_constant)

@@ -173,15 +173,10 @@ class Windings(FileModel):
     def _check_temperatures(self) -> Windings:
         if self.used and not self.derating < self.limit:
             raise refusal("derating", self.derating, f"below limit = {self.limit:g} °C")
-        warmest = max(self.ambient, self.start)
+        warmest = max(self.ambient, self.ambient if self.initial is None else self.initial)
         if self.used and not warmest <= self.derating:
             raise refusal("derating", self.derating, f"at least {warmest:g} °C, as it begins")
         return self
-
-    @property
-    def start(self) -> float:
-        """Return the temperature at the start, degrees Celsius."""
-        return self.ambient if self.initial is None else self.initial
 
     @property
     def used(self) -> bool:

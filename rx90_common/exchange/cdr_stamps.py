@@ -17,16 +17,24 @@ _LITTLE = struct.Struct("<iI")
 _BIG = struct.Struct(">iI")
 
 
+def cdr_stamp(cdr: bytes) -> tuple[int, int]:
+    """Return seconds and nanoseconds from the head of a CDR message, at least HEAD bytes, unchecked."""
+    seconds, nanoseconds = (_LITTLE if cdr[1] & 1 else _BIG).unpack_from(cdr, ENCAPSULATION)
+    return seconds, nanoseconds
+
+
 def cdr_stamp_ns(cdr: bytes) -> int:
     """Return the time at the head of a CDR message, ns; -1 if it is cut off."""
     if len(cdr) < HEAD:
         return -1
-    seconds, nanoseconds = (_LITTLE if cdr[1] & 1 else _BIG).unpack_from(cdr, ENCAPSULATION)
-    return int(seconds * NANOSECONDS + nanoseconds)
+    seconds, nanoseconds = cdr_stamp(cdr)
+    return seconds * NANOSECONDS + nanoseconds
 
 
 def cdr_stamps_ns(messages: NDArray[np.uint8]) -> NDArray[np.int64]:
     """Return the times of equally long little-endian messages, shape (n, length), ns, shape (n,)."""
-    stamps = messages[:, ENCAPSULATION:HEAD].copy().view([("sec", "<i4"), ("nanosec", "<u4")])[:, 0]
-    seconds = stamps["sec"].astype(np.int64)
-    return np.asarray(seconds * NANOSECONDS + stamps["nanosec"])
+    seconds = (
+        messages[:, ENCAPSULATION : ENCAPSULATION + 4].copy().view("<i4")[:, 0].astype(np.int64)
+    )
+    nanoseconds = messages[:, ENCAPSULATION + 4 : HEAD].copy().view("<u4")[:, 0].astype(np.int64)
+    return np.asarray(seconds * NANOSECONDS + nanoseconds)
