@@ -1,6 +1,7 @@
 """Parts of the recorder: counts by sequence numbers, takes from the middleware, and the end of a recording."""
 
 import time
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -8,10 +9,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from processes import wait_until
+from rclpy.node import Node
+from ros_client import own_node
+from sensor_msgs.msg import JointState
 
 from rx90_common.bags.ordering import Arrived, LogOrder, Source
 from rx90_common.bags.recorder import recording
-from rx90_common.bags.recorder.stream import SequenceCounter
+from rx90_common.bags.recorder.stream import SequenceCounter, Streams
+from rx90_common.exchange.cdr import JointStateCodec
+from rx90_common.exchange.endpoints import TICK_QOS
 
 SENT_BEFORE = 9  # one a round: these take longer than a topic that is quiet is waited for
 LONG = 120.0
@@ -108,3 +115,36 @@ def test_writers_that_come_later() -> None:
         counter = SequenceCounter(lambda: 2, transient_local=False)
         count(counter, *range(1, end), *range(1, 101), *range(104, 200))
         assert [writer.lost for writer in counter.writers] == [0, 3]
+
+
+@pytest.fixture
+def node(ros_domain: int) -> Iterator[Node]:
+    with own_node("taking", ros_domain) as node:
+        yield node
+
+
+@pytest.mark.ros
+def test_what_is_sent_is_taken_whole(node: Node) -> None:
+    """Messages come in order, to the bit, numbered and with their times, while the receiving thread seldom wakes."""
+    count = 1500
+    publisher = node.create_publisher(JointState, "numbers", TICK_QOS)
+    streams = Streams(node, ["numbers"])
+    wait_until(streams.discover, "the subscription")
+    (stream,) = streams
+    wait_until(lambda: publisher.get_subscription_count() == 1, "the publisher")
+    codec = JointStateCodec(["a", "b"])
+    sent = [codec.encode(stamp, np.array([stamp, 1.0])) for stamp in range(count)]
+    began = time.time_ns()
+    for raw in sent:
+        publisher.publish(raw)
+    messages, times = [], []
+    while len(messages) < count:
+        arrived = stream.take()
+        messages += arrived.messages
+        times += arrived.received_ns.tolist()
+    assert messages == sent
+    received = sum(writer.received for writer in stream.counter.writers)
+    assert (received, lost(stream.counter), stream.repeated) == (count, 0, 0)
+    assert times == sorted(times)
+    assert began <= stream.sent_ns <= times[-1]
+    assert 0 < streams._batching.pauses < count / 10
