@@ -166,10 +166,6 @@ class CdrReader:
         content = self._take(8 * count, 8, what) if count else b""
         return np.frombuffer(content, dtype=f"{self._order}f8").astype(np.float64)
 
-    def duration(self, what: str) -> None:
-        """Skip a builtin_interfaces/Duration."""
-        self._take(STAMP_BYTES, 4, what)
-
     def finish(self) -> None:
         """Expect the end of the message."""
         remaining = len(self._body) - self._at
@@ -314,10 +310,12 @@ class _Layout:
                 self._mask[at : at + numbers] = 0
         self._incoming = incoming = np.zeros(_MARGIN + self.size, dtype=np.uint8)
         self.outgoing = np.concatenate([np.zeros(_MARGIN, dtype=np.uint8), self.expected])
-        first, second, third = (
-            None if at < 0 else incoming[at : at + numbers].view(np.float64) for at in blocks
-        )
-        self.views: Arrays = (first, second, third)
+
+        def view(block: int) -> Array | None:
+            at = blocks[block]
+            return None if at < 0 else incoming[at : at + numbers].view(np.float64)
+
+        self.views: Arrays = (view(0), view(1), view(2))
         # Looked up once: asking an array for its address takes longer than to read a message.
         self.shape_at = self._shape.ctypes.data
         self.outgoing_at = self.outgoing.ctypes.data
@@ -406,7 +404,9 @@ class JointStateCodec:
                     f"array to send is {array.dtype} of shape {array.shape}; accepted: {accepted}"
                 )
         layout = self._layout(arrays)
-        first, second, third = (0 if array is None else array.ctypes.data for array in arrays)
+        first = _address(position)
+        second = _address(velocity)
+        third = _address(effort)
         message = layout.outgoing[_MARGIN:]
         outgoing_at = layout.outgoing_at
         shape_at = layout.shape_at
@@ -479,6 +479,10 @@ class JointStateCodec:
     def _layout(self, arrays: Arrays) -> _Layout:
         first, second, third = arrays
         return self._layouts[first is not None, second is not None, third is not None]
+
+
+def _address(array: Array | None) -> int:
+    return 0 if array is None else array.ctypes.data
 
 
 def _parse_joint_state(raw: bytes, names: Sequence[str]) -> tuple[int, Arrays]:

@@ -12,8 +12,7 @@ from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from rx90_common.base.errors import BagError, ExchangeError
-from rx90_common.base.quoting import counted
+from rx90_common.base.errors import BagError
 from rx90_common.process.requirements import missing_module
 
 
@@ -21,18 +20,6 @@ from rx90_common.process.requirements import missing_module
 def typestore(known: Stores = Stores.ROS2_JAZZY) -> Typestore:
     """Return the message types of ROS 2 Jazzy's common interfaces, or of others."""
     return get_typestore(known)
-
-
-def read_message(raw: bytes, msgtype: str) -> Any:
-    """Return a message of one of these types as rosbags builds it.
-
-    Raises:
-        ExchangeError: if the bytes are none.
-    """
-    try:
-        return typestore().deserialize_cdr(raw, msgtype)
-    except Exception as error:  # rosbags does not catch all that Python raises for them
-        raise ExchangeError(f"{counted(len(raw), 'byte')}, no {msgtype}") from error
 
 
 def message_class(topic: str, msgtype: str) -> Any:

@@ -238,8 +238,8 @@ ONES = np.ones(2)
 @pytest.mark.parametrize(
     ("names", "arrays", "words"),
     [
-        (("a", "joint_2"), {"effort": ONES}, "joint names are a, joint_2; accepted: joint_1, joint_2, each once"),
-        (JOINTS[:1], {"effort": ONES[:1]}, "joint names are joint_1; accepted: joint_1, joint_2, each once"),
+        (("a", "joint_2"), {"effort": ONES}, "joint name 'a' is unknown; accepted: joint_1, joint_2"),
+        (JOINTS[:1], {"effort": ONES[:1]}, "joint name 'joint_2' is missing; accepted: joint_1, joint_2"),
         (JOINTS, {"position": ONES}, "position without effort; accepted: 2 efforts at the joints, Nm"),
         (JOINTS, {"effort": np.array([np.nan, 0.0])}, "effort of joint_1 is nan; accepted: a finite number"),
         (JOINTS, {}, "effort is empty: no torque, brakes closed; for torque: 2 efforts at the joints, Nm"),

@@ -1,7 +1,5 @@
 """The JointState codec against the serialisers of rclpy and rosbags."""
 
-from __future__ import annotations
-
 import gc
 import struct
 
