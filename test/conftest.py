@@ -55,7 +55,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(autouse=True)
 def _handlers_stay() -> Iterator[None]:
-    """Put the signal handlers back that a command run within the test set for a process of its own."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     yield
     for number, handler in before.items():
@@ -65,7 +64,6 @@ def _handlers_stay() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def shipped() -> Setup:
-    """Return the setup of the shipped files, read once; everything in it is frozen."""
     return Setup.load()
 
 
@@ -109,8 +107,6 @@ def needs_tf() -> None:
 
 @pytest.fixture
 def edited_yaml(tmp_path: Path) -> Callable[..., Path]:
-    """Return a function that copies a YAML file with one value replaced, or with a key removed or added."""
-
     def edit(source: Path, path: tuple[str | int, ...], value: Any, *, remove: bool = False) -> Path:
         data = copy.deepcopy(yaml.safe_load(source.read_text(encoding="utf-8")))
         holder = data

@@ -64,7 +64,6 @@ def arrows(name: str) -> set[str]:
 
 
 def reached(name: str) -> set[str]:
-    """Return all modules of the project that importing `name` brings in, itself included."""
     seen, todo = set(), [name]
     while todo:
         if (module := todo.pop()) not in seen:

@@ -43,7 +43,6 @@ RESOLVED_ON_NOBLE = """
 
 
 def colcon(*arguments: object, folder: Path) -> str:
-    """Run colcon on the source tree, its logs in `folder`, and return what it printed."""
     done = subprocess.run(
         [script("colcon"), "--log-base", str(folder / "log"), *map(str, arguments)],
         cwd=folder,
@@ -179,7 +178,6 @@ def wheel(tmp_path: Path) -> Path:
 
 
 def installed(wheel: Path, prefix: Path) -> Path:
-    """Install the wheel into a new environment that borrows the libraries alone; return its folder of executables."""
     venv.create(prefix, symlinks=True)
     python = prefix / "bin/python"
     pip("--python", python, "install", "--no-deps", "--no-index", "--no-compile", wheel, folder=prefix)

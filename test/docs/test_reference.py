@@ -23,7 +23,6 @@ ON_DEMAND = {
 
 @pytest.fixture(scope="module")
 def nodes(needs_action: None, tmp_path_factory: pytest.TempPathFactory) -> Sequence[NodeReference]:  # noqa: ARG001 - it must be there
-    """Return what real nodes have, asked in a process of their own."""
     with pytest.MonkeyPatch.context() as monkeypatch, on_own_domain(monkeypatch, tmp_path_factory.mktemp("ros")):
         asked = Processes().run(sys.executable, "-m", "tools.node_reference", "--json", timeout=400.0)
     assert asked.returncode == 0, asked.stderr

@@ -40,7 +40,6 @@ PAGES = [
 
 
 def write_logs(folder: Path) -> None:
-    """Write what the reader of README.md has: an arm's URDF, two logs of its motion in CSV, and what they hold."""
     bench = Bench.make(folder)
     for seed, name in enumerate(("log", "unseen"), 1):
         assert (

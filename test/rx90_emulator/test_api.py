@@ -150,10 +150,7 @@ def test_nonsense_is_refused_in_one_line(call: Callable[[rx.Setup], object], mes
 
 
 def test_the_api_warns_of_what_rx90_run_announces() -> None:
-    """Friction that is not passive, and joints too warm for their law, are warnings of the line that asked for a run.
-
-    A constant c1 of 100 Nm s/rad on 25 Nm is passive below 4 tau_c / c1 = 1 rad/s; 0.01 J/K warm at once.
-    """
+    """Friction that is not passive (from 4 tau_c / c1 = 1 rad/s) and joints too warm for their law are warnings."""
     hot = dict.fromkeys(("highest", "start", "ambient"), 41.0)
     warm = full_friction.PARTS["temperature"].replaced(capacity=0.01, resistance=1e3, **hot)
     setup = rx.load_setup()

@@ -36,7 +36,6 @@ Arm = tuple[Path, Setup, Path]
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory, task_file: Path) -> Arm:
-    """Return the folder of a robot whose names are hostile, its setup, and a bag of a short line."""
     folder = tmp_path_factory.mktemp("arm") / "<b>robot & 'co'"
     folder.mkdir()
     task = folder / "task"

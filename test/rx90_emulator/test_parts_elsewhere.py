@@ -21,7 +21,6 @@ PARTS = {name: full_friction.PARTS[name] for name in ("load", "temperature", "sc
 
 @pytest.fixture
 def parted_file(shipped: Setup, tmp_path: Path) -> Path:
-    """Return a copy of the shipped friction file whose second joint has two parts."""
     assert shipped.friction.file is not None
     file = rx.FrictionFile.read(shipped.friction.file)
     element = file.elements["joint_2"].replaced(**PARTS)

@@ -123,10 +123,7 @@ WRITTEN = {
 def test_what_is_written_is_looked_at_before_anything_else(
     options: dict[str, list[argparse.Action]], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each command refuses an output that cannot be written before it looks at its inputs, and no command is left out.
-
-    Nobody writes below /proc, not even root.
-    """
+    """Each command refuses an output that cannot be written (below /proc) before its inputs; no command is left out."""
     listed = set()
     for option, commands in WRITTEN.items():
         for words in commands:

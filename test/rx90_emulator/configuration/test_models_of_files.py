@@ -1,7 +1,4 @@
-"""Every model of a file refuses in one line what its JSON schema excludes, and gives back what it read; good files fit.
-
-An independent validator of the schema says what is wrong; the model must refuse it, and name the place first.
-"""
+"""Every model of a file refuses in one line what a validator of its JSON schema excludes; good files fit."""
 
 import copy
 import json
@@ -52,14 +49,12 @@ BLOCKS: dict[str, dict[str, Any]] = {
 
 @pytest.fixture(scope="module")
 def samples(tmp_path_factory: pytest.TempPathFactory, shipped_files: RobotFiles) -> list[tuple[str, Path]]:
-    """A good file, or several, of every kind, and of friction one with all parts."""
     folder = tmp_path_factory.mktemp("samples")
     parts = write_with_parts(shipped_files.friction, folder / "parts.yaml")
     return [*shipped(), *written(folder), ("friction", parts)]
 
 
 def places(content: Any, place: Place = ()) -> Iterator[Place]:
-    """Yield the place of every value of a file, of a list the first and the last one."""
     if isinstance(content, dict):
         keys: list[Any] = list(content)
     else:
@@ -77,7 +72,6 @@ def holder(content: Any, place: Place) -> Any:
 
 
 def beyond(node: dict[str, Any]) -> list[Any]:
-    """Return values just beyond the ends of a range, and a text that is no choice."""
     values: list[Any] = ["no such word"]
     for key, direction in (("minimum", -math.inf), ("maximum", math.inf)):
         if key in node:
@@ -88,10 +82,7 @@ def beyond(node: dict[str, Any]) -> list[Any]:
 
 
 def changes(schema: dict[str, Any], content: Any, tried: set[str]) -> Iterator[tuple[Any, str, Any]]:
-    """Yield a content that the schema excludes, what the line must name, and the wrong value, if there is one.
-
-    A field whose schema was tried already, of this or another content, is left out.
-    """
+    """Yield a content that the schema excludes, what the line must name, and the wrong value, if there is one."""
     is_valid = Draft202012Validator(schema).is_valid
     for place in ((), *places(content)):
         node = schema_at(schema, place, content)

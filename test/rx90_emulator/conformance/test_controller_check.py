@@ -28,7 +28,6 @@ WEAK = """\
 
 
 def checked(folder: Path, *words: object) -> tuple[int, dict[str, Any]]:
-    """Check a controller in this process; return the exit code and what the check has written."""
     code = run("rx90 check", ["--output", str(folder), *map(str, words)])
     return code, dict(json.loads((folder / "result.json").read_text(encoding="utf-8")))
 
@@ -123,7 +122,6 @@ def nominal(shipped: Setup, tmp_path: Path) -> Nominal:
 
 
 def record_of(case: Case, position: Array, torque: Array | float = 0.0) -> Record:
-    """Return the record of a run in which the arm took these positions with these torques of the joints."""
     record, drives = Record(case), case.setup.drives
     motors = np.broadcast_to(torque, position.shape) @ np.linalg.inv(drives.turning.turns) / drives.gear
     for tick, place in enumerate(position @ drives.turning.turns.T * drives.gear):
@@ -136,7 +134,6 @@ def beyond(findings: list[Finding]) -> set[str]:
 
 
 def exact(case: Case) -> Array:
-    """Return the positions of an arm that is at each set-point, one for each tick."""
     return np.repeat(case.set_points[:, 0], case.setup.rates.ratio, axis=0)[: case.ticks]
 
 

@@ -39,7 +39,6 @@ from rx90_emulator.loop.setup import Setup
 
 @pytest.fixture(scope="module")
 def task() -> rx.LineTask:
-    """Return a short line, across which joints reverse."""
     return replace(load_task(), start=(0.6, -0.05, 0.2), end=(0.6, 0.05, 0.2), rest_before=0.4, rest_after=0.35)
 
 
@@ -73,11 +72,7 @@ def test_the_recursion_is_the_lifted_solution(n: int) -> None:
 
 
 def test_the_response_is_that_of_the_servo_loop(shipped: Setup) -> None:
-    """An offset that is held moves the joints as PI and D of second order do, and in the end all the way.
-
-    With the lag small against the loop the rise of a stiff joint is that of kp kv / (s^2 + kv s + kp kv), whose
-    response to a step is known; the integrator brings the rest.
-    """
+    """An offset that is held moves a stiff joint as kp kv / (s^2 + kv s + kp kv); the integrator brings the rest."""
     still = np.zeros((2000, 3, 6))
     still[:, 0] = plan_line(shipped, load_task()).start_pose
     controller = shipped.controller.replaced(servo={"ki": np.zeros(6)})
@@ -150,10 +145,7 @@ def test_what_makes_it_worse_is_not_kept_and_divergence_ends_it(shipped: Setup, 
 
 
 def test_a_bag_teaches_what_the_engine_does(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
-    """Bags of two trials, the second with a correction, give the errors that the engine gives, to the last bit.
-
-    From the joint states of the same bag alone, as an arm has them, the begin is found to less than the lag of the arm.
-    """
+    """Bags of two trials give the engine's errors to the last bit; from joint states alone the begin is found."""
     plan = plan_line(shipped, task)
     learner = Learner(shipped, plan)
     held = 0.6  # so that the arm is held as long as run_corrected does
@@ -180,10 +172,7 @@ def test_a_bag_teaches_what_the_engine_does(shipped: Setup, task: rx.LineTask, t
 
 
 def test_an_arm_goes_on_where_the_engine_has_ended(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
-    """An arm's first trial is worse than the engine's, and taught from; its worse ones halve the step, the 4th fails.
-
-    What the record leaves is chosen here: 5, 9, 8, 7 and 6 times the path error that the engine ended with.
-    """
+    """An arm's first trial is worse than the engine's, and taught from; worse ones halve the step, the 4th fails."""
     plan = plan_line(shipped, task)
     earlier = kept(rx.learn_correction(shipped, plan, 1), None, tmp_path / "engine.yaml")
     engine, error = earlier.head.worst[-1], run_corrected(shipped, plan, earlier.correction)[1].joints
@@ -213,7 +202,6 @@ def test_an_arm_goes_on_where_the_engine_has_ended(shipped: Setup, task: rx.Line
 
 
 def kept(learned: LearnedCorrection, earlier: CorrectionFile | None, file: Path) -> CorrectionFile:
-    """Write a correction, and read it again."""
     rx.write_correction(learned, file, earlier)
     return rx.load_correction(file)
 
@@ -401,13 +389,11 @@ def test_offsets_beyond_the_limits_are_refused() -> None:
 
 
 def inverse_dynamics(setup: Setup, q: Array, v: Array, a: Array) -> Array:
-    """Return the torque on the joints at one state, shape (6,)."""
     drives = setup.drives
     return rigid_torque(setup.robot.model, drives.rotor_matrix, drives.spring_torque, q[None], v[None], a[None])[0]
 
 
 def slopes(setup: Setup, state: Array, which: int, step: float = 1e-5) -> Array:
-    """Return the derivative of the torque by position, velocity or acceleration, by central differences."""
     columns = []
     for joint in range(6):
         move = np.zeros((3, 6))

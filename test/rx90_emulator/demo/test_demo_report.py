@@ -13,7 +13,6 @@ from rx90_emulator.loop.setup import Setup
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory, shipped: Setup, task: rx.LineTask) -> list[Path]:
-    """Return the report on a short line, written twice."""
     folder = tmp_path_factory.mktemp("demo")
     bag = folder / "run"
     rx.write_bag(rx.run_line(shipped, task, record_fast=True), bag)

@@ -191,7 +191,6 @@ def one_file(setup: Setup, target: str) -> str:
 
 @pytest.fixture(scope="module", params=["rx90b", "panda"])
 def robot(request: pytest.FixtureRequest) -> Setup:
-    """Return arms of six joints, two of which share an element, and of seven."""
     return rx.load_setup(robot=request.param)
 
 
@@ -207,7 +206,6 @@ def test_pinocchio_reads_friction_from_the_urdf(robot: Setup) -> None:
 
 
 def placed_frame(model: ET.Element, placed: Callable[[str], pin.SE3], name: str) -> pin.SE3:
-    """Return where a frame is that is attached to a link or to another frame."""
     frame = next((one for one in model.findall("frame") if one.get("name") == name), None)
     if frame is None:
         return placed(name)

@@ -55,7 +55,6 @@ def torques(setup: Setup, scenario: str) -> Array:
 
 
 def in_engine(setup: Setup, commands: Array) -> Motion:
-    """Run the plant under motor torques, one row a tick."""
     plant = setup.plant()
     plant.reset(START)
     q, friction = np.empty((len(commands), 6)), np.empty((len(commands), 7))
@@ -128,10 +127,7 @@ def test_what_mujoco_cannot_hold_costs_what_the_export_says(shipped: Setup) -> N
 
 @pytest.mark.filterwarnings("ignore::rx90_common.base.errors.Rx90Warning")  # of a constant c1
 def test_a_line_under_the_same_law(shipped: Setup, task: LineTask) -> None:
-    """The shipped elements, fitted: along a line the joints stay within 0.3 mrad, the path error within a tenth.
-
-    Friction as a constraint, without presliding, is farther off.
-    """
+    """Fitted, the shipped elements keep joints within 0.3 mrad along a line; friction as a constraint is farther off."""
     found = compare(holdable(shipped), task)
     (_, here, _, _), (_, there, _, apart), (_, _, _, classic) = found["here"], found["mujoco"], found["mujoco-classic"]
     assert here > 1e-5

@@ -51,8 +51,6 @@ def sweeps(shipped: Setup) -> Sweeps:
 
 @pytest.fixture(scope="session")
 def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the bags of a short series for joint 3, whose neighbours react, on the engine."""
-
     def make(folder: Path) -> None:
         words = ["--quick", "--group", "joint_3", "--output", str(folder)]
         assert run("rx90 experiment sliding engine", words) == DONE
@@ -62,8 +60,6 @@ def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def identified(series: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """Return the friction file of the short series, its report beside it, and what the command printed."""
-
     def make(folder: Path) -> None:
         folder.mkdir()
         with redirect_stdout(io.StringIO()) as said:

@@ -39,7 +39,6 @@ OPTIONS = ExcitationOptions(
 
 @pytest.fixture(scope="module")
 def plan(tx40: Setup) -> tuple[Experiment, ...]:
-    """Return runs of the TX40 over a table and beside a wall."""
     return plan_excitation(PlannedArm.from_setup(tx40), OPTIONS)[0]
 
 
@@ -56,11 +55,7 @@ def motion(plan: tuple[Experiment, ...]) -> tuple[Array, Array, Array]:
 
 
 def test_a_run_keeps_every_limit(plan: tuple[Experiment, ...], motion: tuple[Array, Array, Array], tx40: Setup) -> None:
-    """The whole trajectory, from home and back, keeps ranges, speeds, accelerations and torques of joints and motors.
-
-    Torques are Pinocchio's with rotors and the friction of every motor. Motor 6 turns with joints 5 and 6; the check
-    tells the greatest share of what motors can do.
-    """
+    """The whole trajectory keeps ranges, speeds, accelerations and torques of joints and motors, by Pinocchio."""
     robot, drives, controller = tx40.robot, tx40.drives, tx40.controller
     position, velocity, acceleration = motion
     turns = np.eye(6)
@@ -170,10 +165,7 @@ def test_a_motion_too_fast_for_motor_6_is_scaled(tx40: Setup) -> None:
 
 
 def test_an_optimised_run_tells_more_than_random_ones(shipped: Setup) -> None:
-    """The parameters' mean deviation is smaller than that of the best of 36 random runs scaled into the limits.
-
-    By NumPy's determinant of the densely sampled columns.
-    """
+    """The parameters' mean deviation, by NumPy's determinant, is smaller than that of the best random one."""
     search, time = _search(shipped, steps=30), np.arange(0.0, 6.0, 0.02)
 
     def mean_deviation(coefficients: Array) -> float:
@@ -274,11 +266,7 @@ def test_a_folder_of_excitation_runs_is_identified_as_such(
 def test_a_planned_run_tells_the_inertias_that_the_engine_has(
     plan: tuple[Experiment, ...], tx40: Setup, tmp_path: Path
 ) -> None:
-    """The wrist's rotors to 0.4 %, Coulomb friction to 0.5 % of what the engine read.
-
-    A torque counted half a tick late makes these rotors 0.4 to 0.6 % too small. Without noise a wide band is best: in
-    that of the motion, 9 s tell them to a few percent.
-    """
+    """The wrist's rotors to 0.4 %, as a torque counted half a tick late would not tell; Coulomb friction to 0.5 %."""
     bag = tmp_path / "run"
     run_on_engine(tx40, plan[0], bag)
     result = identify_excitation([bag], RobotOptions(robot="tx40"), model=["coulomb-viscous"], bandwidth=150.0)
@@ -313,7 +301,6 @@ def motions(urdf: Path) -> Path:
 
 
 def _held(urdf: Path) -> pin.Model:
-    """Return Pinocchio's model of the seven joints, the others held at 0."""
     model = pin.buildModelFromUrdf(str(urdf))
     others = [k for k, name in enumerate(model.names) if k and name not in JOINTS]
     return pin.buildReducedModel(model, others, pin.neutral(model))

@@ -278,7 +278,6 @@ def test_experiments_run_on_the_real_nodes(
 
 
 def check_against_the_engine(bag: Path, run: Experiment, setup: Setup) -> None:
-    """Hold the first run on new nodes against the closed loop along the same plan, which begins when the bag's does."""
     names = ("motor_states", "rx90_controller/reference")
     _, reference = recorded = [read_joint_states(bag, name) for name in names]
     assert reference.position is not None

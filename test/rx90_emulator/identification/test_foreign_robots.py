@@ -26,7 +26,6 @@ C0, C1 = 2e4, 25.0
 
 
 def identified(arguments: Sequence[object], output: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
-    """Run the command and return the friction file's parameters, which are also those that the simulation loads."""
     code = run("rx90 identify", [*map(str, arguments), "--output", str(output)])
     assert code == DONE, capsys.readouterr().err
     file = FrictionFile.read(output)
@@ -45,7 +44,6 @@ def signal_map(folder: Path, **keys: object) -> list[object]:
 
 
 def assert_found(found: dict[str, Any], curve: Curve) -> None:
-    """Assert that all parameters of steady sliding are within 2 %, and within 3.5 of their standard deviations."""
     for name, truth in vars(curve).items():
         entry = found[name]
         assert entry["provenance"] == "identified", name

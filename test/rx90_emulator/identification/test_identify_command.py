@@ -41,8 +41,6 @@ def options(*words: object) -> Change:
 
 
 def sliding(rows: Any = slice(None), header: bool = True, **changed: Callable[[Hinge], Any]) -> Change:
-    """Return the option of a bag of some rows, with some fields changed."""
-
     def make(hinge: Hinge, folder: Path) -> list[object]:
         fields = {name: getattr(hinge, name) for name in ("position", "velocity", "torque")}
         fields |= {name: change(hinge) for name, change in changed.items()}
@@ -57,7 +55,6 @@ def existing(option: str, name: str) -> Change:
 
 
 def filled(path: Path, text: str = "") -> Path:
-    """Write a file, or with no text make a folder."""
     if text:
         path.write_text(text, encoding="utf-8")
     else:
@@ -115,10 +112,7 @@ def checked(hinge: Hinge, *words: object) -> int:
 def test_true_friction_is_confirmed_and_false_is_not(
     hinge: Hinge, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The arm's own friction is confirmed with 0; half as much again is not, with 1; a report is written if asked.
-
-    Where other bodies than those that were given stand beside the friction, a hint says so.
-    """
+    """The arm's friction is confirmed with 0, half as much again not, with 1; a hint tells of other bodies beside."""
     good, bad = hinge.friction(tmp_path / "good.yaml"), hinge.friction(tmp_path / "bad.yaml", 1.5)
     words, report = ["check", good, hinge.bag], tmp_path / "page.html"
     assert checked(hinge, *words, "--report", report) == DONE

@@ -47,12 +47,10 @@ def measured(setup: Setup, runs: Sequence[Any], noise: float, seed: int = 0) -> 
 
 
 def random_set(setup: Setup, seed: int) -> Setup:
-    """Return the setup with every parameter of every element changed by up to a half."""
     return replace(setup, friction=random_bristles(setup.friction, np.random.default_rng(seed)))
 
 
 def fitted(setup: Setup, records: Sequence[JointRecord]) -> PreslidingFit:
-    """Identify records of this project's engine with the true sliding regime."""
     return identify_presliding(records, RigidArm.from_setup(setup), setup.friction.elements)
 
 
@@ -83,7 +81,6 @@ def test_bristles_of_the_wrist_separate(shipped: Setup) -> None:
 
 @pytest.fixture(scope="module")
 def fourth(shipped: Setup) -> tuple[Setup, list[Any]]:
-    """Return a set of friction and what joint 4 did with it on the engine."""
     setup = random_set(shipped, 3)
     return setup, oscillated(setup, ["joint_4"])
 
@@ -104,12 +101,10 @@ def test_intervals_hold_the_truth(fourth: tuple[Setup, list[Any]]) -> None:
 
 
 def with_gaps(record: JointRecord) -> JointRecord:
-    """Return the record with a gap of 0.2 s in every 3 s."""
     return some_rows(record, (record.time + 0.7) % 3.0 >= 0.2)
 
 
 def with_spikes(record: JointRecord) -> JointRecord:
-    """Return the record with spikes of a single sample in effort and position, two in a second."""
     rng = np.random.default_rng(2)
     torque, position = record.torque.copy(), record.position.copy()
     for values, size in ((torque, 100.0), (position, 2e-3)):
@@ -141,7 +136,6 @@ def heavier(arm: RigidArm) -> RigidArm:
 
 
 def shifted(time: Array, torque: Array, delay: float) -> Array:
-    """Return torques that act later by a delay, s."""
     return np.column_stack([np.interp(time - delay, time, column) for column in torque.T])
 
 

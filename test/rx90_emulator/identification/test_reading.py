@@ -28,7 +28,6 @@ COUPLED = np.array([[50.0, 0.0], [20.0, 20.0]])
 
 
 def motion(count: int = 1000) -> tuple[Array, Array, Array]:
-    """Return positions, velocities and torques of two joints."""
     t = np.arange(count) * PERIOD_NS * 1e-9
     phase = np.column_stack([2.0 * t, 3.0 * t])
     return 0.5 * np.sin(phase), np.array([1.0, 1.5]) * np.cos(phase), np.column_stack([5 * np.cos(t), 3 * np.sin(t)])

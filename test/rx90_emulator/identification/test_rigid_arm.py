@@ -27,7 +27,6 @@ TWO_LINKS = """<robot name="two"><link name="base"/>
 
 @pytest.fixture
 def urdf(tmp_path: Path) -> Path:
-    """Return the URDF of two point masses on rods, with a gripper."""
     path = tmp_path / "two.urdf"
     path.write_text(TWO_LINKS, encoding="utf-8")
     return path

@@ -197,7 +197,6 @@ def test_folder_is_one_that_editors_and_rx90_config_accept(case: Case) -> None:
 
 
 def run_of(setup: Setup) -> Array:
-    """Return positions along a short motion of all joints out of a bent pose, shape (m, 6)."""
     start, end = np.array([0.2, 0.4, 1.0, 0.3, 0.6, -0.2]), np.array([0.22, 0.38, 1.03, 0.25, 0.63, -0.15])
     names, rest = setup.robot.joint_names, np.zeros(6)
     points = TrajectoryPoints.create(names, names, [0.0, 0.15], [start, end], [rest] * 2, [rest] * 2)

@@ -47,7 +47,6 @@ def said(described: RigidArm, record: JointRecord, options: RobotOptions = OPTIO
 
 
 def turned(record: JointRecord, motion: tuple[int, ...], torque: tuple[int, ...]) -> JointRecord:
-    """Return a record with positions and torques of some joints turned round."""
     signs = np.ones((2, len(record.names)))
     signs[0, list(motion)] = -1.0
     signs[1, list(torque)] = -1.0
@@ -72,7 +71,6 @@ def test_a_wrong_sign_is_named_with_what_to_write(
 
 
 def exchanged(values: Array) -> Array:
-    """Return values, joint side, of which the motors' columns 2 and 3 are exchanged."""
     return values[:, [0, 2, 1, 3]]
 
 

@@ -114,7 +114,6 @@ def test_intervals_cover_the_truth(sweeps: Any, arm: RigidArm) -> None:
 
 
 def outliers(record: JointRecord) -> JointRecord:
-    """Return the record with one torque sample in fifty thrown off by ten times the friction."""
     torque = record.torque.copy()
     torque[np.random.default_rng(7).random(len(torque)) < 0.02, 2] += 200.0
     return dataclasses.replace(record, torque=torque)
@@ -218,10 +217,7 @@ def on_the_engine(setup: Setup, options: PlanOptions) -> list[JointRecord]:
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_the_wrists_friction_comes_back_from_the_engine(shipped: Setup, arm: RigidArm, count: int) -> None:
-    """Sweeps of joints 5 and 6, alone, together and against each other, tell their three elements apart to 2.5 %.
-
-    At two poses each has half of the nine speeds, which is too few: what is told is right by its deviations.
-    """
+    """Sweeps of joints 5 and 6 tell their three elements apart to 2.5 %; with too few speeds by their deviations."""
     names = directions(shipped.robot.joint_names, shipped.drives.turning)
     poses = poses_of(shipped)
     few = poses.replaced(sweeps={"positions": poses.sweeps.positions[:count]})

@@ -250,7 +250,6 @@ TURNED = {"motor 4": [1, 1, 1, -1, 1, 1], "all but motor 5": [-1, -1, -1, -1, 1,
 
 
 def with_motors(setup: Setup, signs: list[int]) -> Setup:
-    """Return the setup with motors turned round where the sign is -1."""
     return dataclasses.replace(setup, drives=setup.drives.replaced(transmission={"gear": setup.drives.gear * signs}))
 
 

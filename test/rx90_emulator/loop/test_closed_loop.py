@@ -42,7 +42,6 @@ def there_and_back(size: float = 0.09) -> TrajectoryPoints:
 
 
 def step_by_step(setup: Setup, commands: tuple[MotionCommand, ...], duration: float, substeps: int) -> dict[str, Array]:
-    """Run the same ticks as the nodes do: sample, command, publish, step, one Python call each."""
     plant, controller = setup.plant(substeps), setup.cs7b()
     plant.reset(HOME)
     controller.reset(plant.motor_states()[0])
@@ -91,10 +90,7 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_simulate_equals_plant_and_controller_stepped_one_by_one(shipped: Setup, case: str, tmp_path: Path) -> None:
-    """Every sample of every topic is the same to the last bit as from Plant and CS7B called tick by tick.
-
-    There and back, another motion that takes over, and a stop in the middle of that.
-    """
+    """Every sample of every topic is the same to the last bit as from Plant and CS7B called tick by tick."""
     rates, substeps, start = CASES[case]
     setup = dataclasses.replace(shipped, rates=rates)
     if "elastic" in case:
@@ -217,10 +213,7 @@ def test_plants_and_controllers_do_not_share_state(shipped: Setup) -> None:
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 @pytest.mark.parametrize("joint", range(6))
 def test_the_fastest_motion_to_a_limit_stays_within_it(shipped: Setup, joint: int, sign: float) -> None:
-    """At full speed, accelerated and braked at the limits, ending on the joint's limit: past it by less than 1 mrad.
-
-    It moves at its full speed, which is kept within 1 %, for 0.1 s. The others stay.
-    """
+    """At full speed for 0.1 s, accelerated and braked at the limits, it ends past the limit by less than 1 mrad."""
     robot, speed = shipped.robot, shipped.robot.max_velocity[joint]
     ramp = speed / shipped.controller.max_acceleration[joint] * (1.0 + 1e-9)
     end, time = np.zeros(6), 2.0 * ramp + 0.1

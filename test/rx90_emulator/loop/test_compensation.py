@@ -36,7 +36,6 @@ BRISTLES: dict[str, Callable[[FrictionElement], BristlesPart]] = {
 
 @pytest.fixture(scope="module")
 def own(shipped: Setup) -> LineRun:
-    """Return the reference task with the CS7B's own feed-forward."""
     return run_line(shipped, load_task())
 
 
@@ -49,7 +48,6 @@ def test_with_the_right_model_the_path_error_is_below_30_micrometres(shipped: Se
 
 
 def with_parts(setup: Setup, kind: str, path: Path) -> Setup:
-    """Return the setup with all parts, bristles of a kind too, in the plant and in the controller's model."""
     elements = tuple(e.replaced(**PARTS, bristles=BRISTLES[kind](e)) for e in setup.friction.elements)
     parted = dataclasses.replace(setup, friction=dataclasses.replace(setup.friction, elements=elements))
     return with_friction(parted, elements, path)
@@ -69,10 +67,7 @@ def test_with_parts_in_plant_and_model_the_path_error_is_as_small(shipped: Setup
 def test_a_friction_model_30_percent_off_is_better_than_none(
     shipped: Setup, own: LineRun, tmp_path: Path, factor: float
 ) -> None:
-    """Too weak or too strong by 30 %, the model leaves less than the CS7B's own compensation with the right values.
-
-    In the second behind the line it does not hunt: no joint swings by more than with the CS7B's own.
-    """
+    """Off by 30 %, the model leaves less than the CS7B's own compensation with the right values, and does not hunt."""
     setup = with_friction(by_model(shipped), scaled(shipped.friction, factor), tmp_path / "friction.yaml")
     task = dataclasses.replace(load_task(), rest_after=2.5)
     run = run_line(setup, task)
@@ -83,7 +78,6 @@ def test_a_friction_model_30_percent_off_is_better_than_none(
 
 
 def commands(setup: Setup) -> tuple[MotionCommand, ...]:
-    """Return a motion, another one that takes over in its middle, and a stop in the middle of that."""
     names = setup.robot.joint_names
     rest = [0.0] * 6
 

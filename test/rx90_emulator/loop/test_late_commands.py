@@ -84,7 +84,6 @@ class Nodes:
         return self.cs7b.trajectory.moving(self.cs7b.position_tick)
 
     def follow(self, mode: str) -> None:
-        """Let the controller serve in this mode, as `Serving` does."""
         self.controller.begin_anew()
         self._channel.serve = self._modes[mode]
 
@@ -107,7 +106,6 @@ class Nodes:
 
 @pytest.fixture
 def nodes(shipped: Setup) -> Nodes:
-    """Return nodes that hold the arm, about to move it there and back."""
     nodes = Nodes(shipped)
     nodes.run(400, repeat(1))
     nodes.cs7b.trajectory.accept(motion(shipped, 2), nodes.cs7b.position_tick, None)
@@ -117,10 +115,7 @@ def nodes(shipped: Setup) -> Nodes:
 
 @pytest.mark.parametrize("turns", ["in time", "often late"])
 def test_a_controller_that_is_late_leaves_no_deviation(nodes: Nodes, shipped: Setup, turns: str) -> None:
-    """Stalls of up to 60 ticks add less than 3 % and 20 urad to the motion's errors, and bring no motor near its limit.
-
-    The oracle is the closed loop without ROS, without any delay.
-    """
+    """Stalls of up to 60 ticks add less than 3 % and 20 urad to the undelayed errors; no motor nears its limit."""
     rng = np.random.default_rng(3)
     stalls = (int(n) for n in np.minimum(rng.pareto(0.8, 100_000) + 1.0, 60.0))
     nodes.run(TICKS, repeat(1) if turns == "in time" else stalls)

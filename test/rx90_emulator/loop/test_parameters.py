@@ -41,13 +41,11 @@ COGGING = Cogging(harmonic=[2.0, 6.0], amplitude=(np.arange(12.0).reshape(2, 6) 
 
 @pytest.fixture
 def parted(shipped: Setup) -> Setup:
-    """Return the shipped setup, whose second element has all parts."""
     one, two, *others = shipped.friction.elements
     return replace(shipped, friction=FrictionSet(shipped.friction.names, (one, two.replaced(**PARTS), *others)))
 
 
 def leaves(catalogue: Catalogue, values: dict[str, Value]) -> dict[Leaf, Value]:
-    """Return the leaves of paths, each with its value."""
     return {t: value for path, value in values.items() for p in catalogue.places(path) for t in p.leaves}
 
 

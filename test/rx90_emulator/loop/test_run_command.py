@@ -70,11 +70,7 @@ points:
 def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From a bag alone come trajectory, start and initial position; the new bag has the same bits.
-
-    Gains that were given at that run's start are named, as here they are the file's. The robot is
-    named again, and both this command and the identification refuse the bag of another one.
-    """
+    """From a bag alone come trajectory, start, pose and the same bits; other gains are named, another robot refused."""
     robot = ["--robot", "tx40"]
     file, first, second = tmp_path / "move.yaml", tmp_path / "fir\nst", tmp_path / "second"
     file.write_text(LATER)

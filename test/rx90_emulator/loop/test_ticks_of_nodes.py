@@ -208,7 +208,6 @@ class Arm:
         return upper + np.triu(upper, 1).T + self.rotors, bias
 
     def friction(self, v: Array) -> Array:
-        """Advance the bristles; return their torques."""
         torques = np.empty(7)
         for i, (e, speed) in enumerate(zip(self.elements, v, strict=True)):
             coulomb, static = (
@@ -258,11 +257,7 @@ EXPONENTS = {
     ids=["as shipped", "viscous exponents", "the paper"],
 )
 def test_the_page_suffices_to_write_the_loop_again(shipped: Setup, changes: dict[str, float], literal: bool) -> None:
-    """Joints, bristles and motor torques of a move and of the rest after it agree to rounding, tick by tick.
-
-    The setup of `rx90b/paper` agrees with the paper's formulas and the shipped values: c1 dz/dt, D from the measured
-    velocity, a sign function.
-    """
+    """Joints, bristles and motor torques of a move and the rest after it agree to rounding; so do the paper's."""
     setup = with_parameters(shipped, changes)
     points = TrajectoryPoints(np.array([0.0, SECONDS]), np.array([START, GOAL]), np.zeros((2, 6)), np.zeros((2, 6)))
     ours = simulate(load_setup(robot=PAPER) if literal else setup, points, START, TICKS * T, record_fast=True)

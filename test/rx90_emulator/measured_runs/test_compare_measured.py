@@ -23,8 +23,6 @@ MOVE = [k for k in range(6) if k != STILL]
 
 @dataclass
 class Measured:
-    """A run of the engine, its bag, and its series."""
-
     folder: Path
     setup: Setup
     run: rx.RunResult
@@ -35,7 +33,6 @@ class Measured:
         return self.folder / name
 
     def compare(self, name: str, *series: rx.JointSeries, **how: Any) -> MeasuredComparison:
-        """Write series as a bag and compare it with the closed loop of this robot."""
         return rx.compare_measured(self.write(name, *series), self.setup, **how)
 
     def joints(self, rate: int = 1000, **changes: Any) -> rx.JointSeries:

@@ -47,7 +47,6 @@ LEAST_LOST = 20
 
 @pytest.fixture(scope="module")
 def lossy_udp(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a library that, preloaded into a process, lets datagrams disappear."""
     need("native")
     library = tmp_path_factory.mktemp("lossy") / "lossy_udp.so"
     source = Path(__file__).with_name("lossy_udp.c")
@@ -175,11 +174,7 @@ def written(folder: Path) -> Setup:
 
 
 def run_nodes(processes: Processes, client: Client, setup: Setup, folder: Path) -> tuple[str, DiagnosticStatus]:
-    """Record the bags `first` and `second`, before and after a reset, and `engine` without ROS.
-
-    Returns:
-        What the simulation has said, and its diagnostics that warn of a motor as time goes on.
-    """
+    """Record `first` and `second`, after a reset, and `engine`; return the output and what warns of a motor."""
     simulated = simulate_commands(setup, [MotionCommand(150, THERE)], POSE, DURATION, record_fast=True)
     write_bag(simulated, folder / "engine")
     of_simulation = {
@@ -205,7 +200,6 @@ def run_nodes(processes: Processes, client: Client, setup: Setup, folder: Path) 
 
 
 def _record(processes: Processes, client: Client, cell: ChildProcess, bag: Path) -> None:
-    """Record a run that begins at time 0, of a trajectory that is sent in its midst."""
     recorder = processes.start("rx90 bag", "record", "--output", bag)
     recorder.wait_for("ready: all")
     reference = client.listen("rx90_controller/reference", depth=1)

@@ -92,11 +92,7 @@ def refused_trajectories() -> Iterator[bytes]:
 
 
 def broken(raw: bytes, count: int) -> Iterator[bytes]:
-    """Return a message cut off anywhere, with wrong lengths, and as noise.
-
-    Each has the four bytes of an encapsulation: what is shorter the middleware itself drops, and it asks the sender for
-    it again and again.
-    """
+    """Return a message cut off, with wrong lengths, and as noise: four bytes or more, or DDS asks for it for ever."""
     chance = random.Random(1)
     for _ in range(count):
         yield raw[: chance.randrange(4, len(raw))]
@@ -169,10 +165,7 @@ def test_nodes_outlive_every_message_and_every_request(processes: Processes, cli
 
 
 def refused(processes: Processes, code: int, name: str, *words: str) -> str:
-    """Run a command to its end; return the only line that it, and the middleware below it, has to say of that.
-
-    A run that had begun has lines of its own; without compiled kernels another one says that they are compiled.
-    """
+    """Run a command to its end; return the only line of its refusal, beside those of a run that had begun."""
     done = processes.run(name, *words, timeout=300.0)
     assert done.returncode == code, done.stderr
     others = ("compiling the numerical kernels", "[INFO] ")

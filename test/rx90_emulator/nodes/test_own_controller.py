@@ -18,7 +18,6 @@ START = [0.1, -0.3, 1.2, 0.2, -0.4, 0.1]
 
 
 def start(processes: Processes, **parameters: object) -> ChildProcess:
-    """Start the simulation with efforts at the joints, as fast as it goes."""
     given = {"command_interface": "joint", "real_time_factor": 0.0, **parameters}
     words = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
     return processes.start("rx90_sim", "--ros-args", *words)

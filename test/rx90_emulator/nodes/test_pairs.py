@@ -69,7 +69,6 @@ def test_a_paused_pair_is_heard_and_takes_a_trajectory(processes: Processes, cli
 
 
 def to_rest(duration: float, position: list[float], names: list[str] = JOINTS) -> JointTrajectory:
-    """Return a trajectory of one point, at rest, after a duration, s."""
     nanoseconds = round(duration * NANOSECONDS)
     after = Duration(sec=nanoseconds // NANOSECONDS, nanosec=nanoseconds % NANOSECONDS)
     point = JointTrajectoryPoint(positions=position, velocities=[0.0] * 6, time_from_start=after)
@@ -78,10 +77,7 @@ def to_rest(duration: float, position: list[float], names: list[str] = JOINTS) -
 
 @pytest.mark.ros
 def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, client: Client) -> None:
-    """Refused trajectories leave the motion that runs alone; without power the brakes hold; diagnostics tell the rate.
-
-    Beyond a supervised limit they are an ERROR until `enable`. The nodes run with integers where reals are asked for.
-    """
+    """Refusals leave the motion alone; without power the brakes hold; diagnostics tell rate, and a fault as ERROR."""
     given = ("-p", "real_time_factor:=0", "-p", "initial_position:=[0.0, 0.8, 0.8, 0.0, 0.5, 0.0]")
     processes.start("rx90_sim", "--ros-args", *given)
     controller = processes.start("rx90_controller")

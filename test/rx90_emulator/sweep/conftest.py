@@ -27,7 +27,6 @@ def plan(task_file: Path) -> SweepPlan:
 
 @pytest.fixture(scope="session")
 def sweep(plan: SweepPlan) -> Sweep:
-    """Return the small sweep, its kernels compiled."""
     ready = Sweep(plan)
     ready.warm_up()
     return ready
@@ -35,5 +34,4 @@ def sweep(plan: SweepPlan) -> Sweep:
 
 @pytest.fixture(scope="session")
 def outcomes(sweep: Sweep) -> list[RunOutcome]:
-    """Return what comes of its runs, computed one after the other in this process."""
     return [sweep.run(index) for index in range(len(sweep))]

@@ -32,12 +32,10 @@ from rx90_emulator.sweep.sweep import RunOutcome, Sweep, measure, metrics_of
 
 @pytest.fixture(scope="module")
 def expected(sweep: Sweep, outcomes: list[RunOutcome]) -> pa.Table:
-    """Return the table of the runs computed one after the other in this process."""
     return table_of(sweep, schema_of(sweep), outcomes)
 
 
 def assert_same(table: pa.Table, expected: pa.Table) -> None:
-    """Check that two tables are equal to the last bit, metadata included."""
     assert table.schema.equals(expected.schema, check_metadata=True)
     assert table.equals(expected)
 
@@ -67,7 +65,6 @@ def a_cluster(processes: int) -> Iterator[distributed.LocalCluster]:
 
 @pytest.fixture
 def cluster() -> Iterator[distributed.LocalCluster]:
-    """Give a cluster of two processes; it starts another one for each that it loses."""
     with a_cluster(2) as cluster:
         yield cluster
 

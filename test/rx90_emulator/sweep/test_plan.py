@@ -62,7 +62,6 @@ def test_quantiles(given: dict[str, Any], oracle: Any) -> None:
 
 
 def written(folder: Path, text: str) -> Path:
-    """Write a plan, and the line it may name beside it."""
     shutil.copy(config_path("robots/rx90b/task.yaml"), folder / "line.yaml")
     file = folder / "plan.yaml"
     file.write_text(text, encoding="utf-8")

@@ -42,7 +42,6 @@ def address(view: ChildProcess) -> str:
 
 
 def stopped(view: ChildProcess) -> int:
-    """Press Ctrl-C; return the exit code."""
     view.signal(signal.SIGINT)
     return view.wait()
 
@@ -97,7 +96,6 @@ def page() -> Iterator[Page]:
 
 @pytest.fixture
 def view_of(page: Page, shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> Callable[..., LiveView]:
-    """Return a function that gives the view of nodes for which something stands, without an arm."""
     no_client: Any = SimpleNamespace(node=None)
     monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: None))
 
@@ -172,11 +170,7 @@ LATE = 90  # samples before the trajectory is known
 
 @pytest.mark.parametrize("of", ["line", "circle"])
 def test_the_largest_is_that_of_the_run(shipped: Setup, page: Page, of: str) -> None:
-    """Of an approach, a rest and a line or circle what counts on the page is what `path_accuracy` counts.
-
-    The word of the trajectory may come later than the first samples; one of a circle the other way round is none of
-    this path.
-    """
+    """What counts on the page is what `path_accuracy` counts, though the trajectory comes late; backwards nothing."""
     task = replace(load_task() if of == "line" else load_path("paths/circle.yaml"), rest_before=0.05)
     plan = plan_path(shipped, task)
     limits = shipped.controller.limits(shipped.robot)

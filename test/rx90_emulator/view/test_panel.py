@@ -67,7 +67,6 @@ class Stranger:
         self.send(type="GuiUpdateMessage", uuid=field._impl.uuid, updates={"value": value})
 
     def give(self, form: Any, code: str) -> None:
-        """Fill a form in, and press its button."""
         _, field, button = form
         self.change(field, code)
         self.change(button, True)
@@ -175,7 +174,6 @@ class Bench:
         self.panel = ControlPanel(self.page, client, setup, plan, lambda: self.arm, "rx90_controller")
 
     def stranger(self) -> tuple[Stranger, Any]:
-        """Return a client that has come, and its form."""
         before = set(self.panel._forms)
         stranger = Stranger(self.page)
         wait_until(lambda: set(self.panel._forms) > before, "its form")
@@ -291,7 +289,6 @@ class Drags:
         monkeypatch.setattr(panel_module, "time", SimpleNamespace(monotonic=lambda: self.now))
 
     def shown(self, position: np.ndarray, now: float, velocity: np.ndarray = ZERO) -> list[float] | None:
-        """Return what sliders show of an arm, rad, at a time, s."""
         self.now = 100.0 + now
         return self.jogs.follow(JointSample(0.0, position, velocity, ZERO), self.now)
 

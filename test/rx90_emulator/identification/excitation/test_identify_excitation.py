@@ -32,7 +32,6 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    """Return two links that swing, and three runs: one, another one, and another one with more friction."""
     bench = Bench.make(tmp_path_factory.mktemp("arm"))
     bench.bag("run", 1)
     bench.bag("unseen", 2)
@@ -55,8 +54,6 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 
 @dataclass
 class Outcome:
-    """What came of one run of the command: a good and a bad validation run, its folder, and what it said."""
-
     code: int
     folder: Path
     said: str
@@ -66,7 +63,6 @@ class Outcome:
 
 @pytest.fixture(scope="module")
 def outcome(bench: Bench) -> Outcome:
-    """Identify the arm; of two validation runs the second is of an arm with more friction."""
     folder, kept, identify = bench.folder / "identified", [], identification.identify_excitation
 
     def kept_result(*arguments: Any, **options: Any) -> ExcitationIdentification:

@@ -87,7 +87,6 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Arm:
 
 
 def assert_bodies(result: ConsistentInertias) -> None:
-    """Check by NumPy's eigenvalues that every part of a result can exist, also as its joint's sum."""
     for pseudo in result.pseudo:
         assert np.linalg.eigvalsh(pseudo)[0] > 0.0
         _, _, inertia = central(pseudo)
@@ -165,7 +164,6 @@ def test_what_the_data_do_not_determine_counts_for_nothing(arm: Arm) -> None:
 
 
 def with_fixed(name: str, mass: float, inertia: float, urdf: str = URDF) -> str:
-    """Return a description whose last link carries one more link, fixed 0.3 m along it."""
     moments = f'ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"'
     link = f'<link name="{name}"><inertial><mass value="{mass}"/><inertia {moments}/></inertial></link>'
     joint = f'<joint name="to_{name}" type="fixed"><origin xyz="0 0 0.3"/><parent link="c_link"/><child link="{name}"/>'

@@ -129,10 +129,7 @@ def test_exact_runs_give_back_every_parameter(seed: int, joints: int, coupled: b
 
 
 def test_base_parameters_are_as_many_as_the_torque_tells(tmp_path: Path) -> None:
-    """Their number is the rank of the columns by singular values, and their torque is that of all parameters.
-
-    So it is where a joint rests at an angle: its torque is none of the rows.
-    """
+    """They are as many as the rank by singular values, and give the torque of all; so, too, where a joint rests."""
     arm = replace(plain_arm(7, 6, coupled=True), spring=np.array([0.0, 30.0, 0.0, 0.0, 0.0, 0.0]))
     columns = StandardColumns(rigid_arm(arm, tmp_path))
     for rest in (None, np.array([np.nan, 0.3, np.nan, np.nan, -0.2, np.nan])):

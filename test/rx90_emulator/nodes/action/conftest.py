@@ -31,7 +31,6 @@ rx90_controller:
 
 @pytest.fixture(scope="package")
 def bench(needs_action: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:  # noqa: ARG001 - it must be there
-    """Give both nodes, in one process, with time standing still."""
     folder = tmp_path_factory.mktemp("action")
     (file := folder / "its_file.yaml").write_text(ITS_FILE, encoding="utf-8")
     with own_processes(folder) as processes:
@@ -42,5 +41,4 @@ def bench(needs_action: None, tmp_path_factory: pytest.TempPathFactory) -> Itera
 
 @pytest.fixture
 def acceleration(shipped: Setup) -> NDArray[np.float64]:
-    """Return the limits of the joints' accelerations, rad/s^2, with what rounding adds."""
     return shipped.controller.limits(shipped.robot).acceleration * (1.0 + 1e-9) + 1e-9

@@ -37,7 +37,6 @@ class Pair:
         self.time, self.goals = Stepper(client, STEP), GoalClient(client)
 
     def begun(self) -> list[Any]:
-        """Follow a goal that is sent before the first tick and stamped; return all that is heard and told of it."""
         from action_client import move
         from control_msgs.msg import JointTrajectoryControllerState
 
@@ -71,7 +70,6 @@ def started(folder: Path) -> Iterator[Pair]:
 
 
 def killed(pair: Pair) -> None:
-    """Kill the simulation in mid-goal: the client gets -1 and why; then the controller, which is missed."""
     from action_client import move
 
     result = pair.goals.result_of(pair.goals.send(move(0.0, 0.4)))
@@ -89,7 +87,6 @@ def killed(pair: Pair) -> None:
 
 
 def interrupted(pair: Pair) -> None:
-    """Press Ctrl-C in mid-goal: the controller says so to the client before it ends."""
     from action_client import move
 
     result = pair.goals.result_of(pair.goals.send(move(0.0, 0.5)))

@@ -1,7 +1,4 @@
-"""Ends before the last point: tolerances, a cancel, another goal, a trajectory on the topic, a reset.
-
-What the arm does then is tested without ROS (test_goals.py, test_servo_loop.py), and at random in test_refused.py.
-"""
+"""Ends before the last point: tolerances, a cancel, another goal, a trajectory on the topic, a reset."""
 
 import re
 from typing import Any
