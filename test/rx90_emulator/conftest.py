@@ -5,9 +5,8 @@ from pathlib import Path
 import pytest
 from short_task import SHORT_TASK
 
-from rx90_controller.lines.task import LineTask, load_task
+import rx90_emulator as rx
 from rx90_emulator.loop.parameters import Catalogue
-from rx90_emulator.loop.setup import Setup
 
 
 @pytest.fixture(scope="session")
@@ -18,10 +17,10 @@ def task_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def task(task_file: Path) -> LineTask:
-    return load_task(task_file)
+def task(task_file: Path) -> rx.LineTask:
+    return rx.load_task(task_file)
 
 
 @pytest.fixture(scope="session")
-def catalogue(shipped: Setup, task: LineTask) -> Catalogue:
+def catalogue(shipped: rx.Setup, task: rx.LineTask) -> Catalogue:
     return Catalogue(shipped, task)

@@ -11,7 +11,6 @@ import rx90_emulator as rx
 from rx90_common.base.errors import REFUSED, Rx90Error
 from rx90_common.base.share import config_path
 from rx90_emulator.cli.frame import run
-from rx90_emulator.configuration.origins import OF_CODE, file_values
 from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.loop.setup import Setup
@@ -21,7 +20,6 @@ PARTS = {name: full_friction.PARTS[name] for name in ("load", "temperature", "sc
 
 @pytest.fixture
 def parted_file(shipped: Setup, tmp_path: Path) -> Path:
-    assert shipped.friction.file is not None
     file = rx.FrictionFile.read(shipped.friction.file)
     element = file.elements["joint_2"].replaced(**PARTS)
     path = tmp_path / "parted.yaml"
@@ -60,18 +58,6 @@ def test_a_ramp_test_does_not_replace_an_element_with_parts(
     assert not (tmp_path / "out").exists()
 
 
-def test_config_shows_where_each_value_of_a_part_comes_from(parted_file: Path) -> None:
-    """`rx90 config show` lists values of parts with unit, line and provenance, and what the code adds."""
-    found = {one.name: one for one in file_values("friction", parted_file)}
-    given = found["friction.elements.joint_2.scatter.correlation_time"]
-    line = int(given.origin.rpartition(":")[2])
-    assert "joint_2" in "".join(parted_file.read_text(encoding="utf-8").splitlines()[line - 16 : line])
-    assert (given.value, given.unit, given.provenance) == (0.2, "s", "assumed")
-    added = found["friction.elements.joint_2.load.relax_time"]
-    assert (added.value, added.unit, added.origin) == (1e-3, "s", OF_CODE)
-    assert "friction.elements.joint_1.load.driving" not in found
-
-
 def test_a_sweep_varies_parts_and_the_seed(parted_file: Path, tmp_path: Path) -> None:
     """Values of parts and whole seeds reach the runs; the same seed gives the same run, another one another."""
     plan = tmp_path / "plan.yaml"
@@ -92,15 +78,3 @@ blocks:
     worst = [run.slow.joint_states[:, 0].tobytes() for run in runs]
     assert len(set(worst)) == 3
     assert sweep.simulate(0).slow.joint_states[:, 0].tobytes() == worst[0]
-
-
-def test_rx90_run_takes_a_seed(parted_file: Path, tmp_path: Path) -> None:
-    """Two runs with one seed are the same to the last bit, with another they differ."""
-    drawn = []
-    for k, seed in enumerate((4, 4, 5)):
-        words = ["--friction", str(parted_file), "--seed", str(seed), "--output", str(tmp_path / f"{k}")]
-        assert run("rx90 run", [*words, "--slow-only"]) == 0
-        series = rx.read_bag(tmp_path / f"{k}").values()
-        drawn.append([values.tobytes() for one in series for values in one.fields.values()])
-    assert drawn[0] == drawn[1]
-    assert drawn[0] != drawn[2]

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
 
+import full_friction
 import numpy as np
 import pytest
 from pinocchio_chain import pinocchio_chain
@@ -12,35 +13,20 @@ import rx90_emulator as rx
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import FileModel, Model, word_of
 from rx90_common.description.drives import Cogging
-from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.element import PARTS as PART_NAMES
 from rx90_common.friction.parts.bristles import ElastoPlastic
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.ripple import RipplePart
-from rx90_common.friction.parts.scatter import ScatterPart
-from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.parameters import Catalogue, Leaf, Value, apply, parameters, with_parameters
-from rx90_emulator.loop.setup import Setup
 
-PARTS = {
-    "load": LoadPart(driving=0.05, driven=0.08),
-    "ripple": RipplePart(
-        joint_harmonic=(1.0,),
-        joint_amplitude=(0.1,),
-        joint_phase=(0.0,),
-        motor_harmonic=(2.0, 4.0),
-        motor_amplitude=(0.1, 0.05),
-        motor_phase=(0.3, 0.0),
-    ),
-    "scatter": ScatterPart(deviation=0.02, correlation_time=5.0),
-    "bristles": ElastoPlastic(break_away=0.7),
-}
+WAVES = RipplePart(motor_harmonic=(2.0, 4.0), motor_amplitude=(0.1, 0.2))
+PARTS = {**full_friction.PARTS, "ripple": WAVES, "bristles": ElastoPlastic(break_away=0.7)}
 COGGING = Cogging(harmonic=[2.0, 6.0], amplitude=(np.arange(12.0).reshape(2, 6) / 100.0).tolist())
 
 
 @pytest.fixture
-def parted(shipped: Setup) -> Setup:
+def parted(shipped: rx.Setup) -> rx.Setup:
     one, two, *others = shipped.friction.elements
     return replace(shipped, friction=FrictionSet(shipped.friction.names, (one, two.replaced(**PARTS), *others)))
 
@@ -62,10 +48,10 @@ def leaves(catalogue: Catalogue, values: dict[str, Value]) -> dict[Leaf, Value]:
     ],
 )
 def test_a_path_does_what_an_edited_file_does(
-    shipped: Setup,
-    task: LineTask,
+    shipped: rx.Setup,
+    task: rx.LineTask,
     catalogue: Catalogue,
-    shipped_files: RobotFiles,
+    shipped_files: rx.RobotFiles,
     edited_yaml: Callable[..., Path],
     path: str,
     value: Value,
@@ -74,14 +60,14 @@ def test_a_path_does_what_an_edited_file_does(
 ) -> None:
     """Setting a value by its path gives the plant and the law that the edited file gives, bit for bit."""
     edited = edited_yaml(getattr(shipped_files, role), keys, value)
-    by_file = Setup.load(replace(shipped_files, **{role: edited}))
+    by_file = rx.Setup.load(replace(shipped_files, **{role: edited}))
     by_path, same_task = apply(shipped, task, leaves(catalogue, {path: value}))
     assert by_path.plant().constants.tobytes() == by_file.plant().constants.tobytes()
     assert by_path.cs7b().law.tobytes() == by_file.cs7b().law.tobytes()
     assert same_task == task
 
 
-def test_values_of_task_and_links(shipped: Setup, task: LineTask, catalogue: Catalogue) -> None:
+def test_values_of_task_and_links(shipped: rx.Setup, task: rx.LineTask, catalogue: Catalogue) -> None:
     """Coordinates of the line change alone; a changed link is the same body in the chain and in Pinocchio's model."""
     setup, changed_task = apply(shipped, task, leaves(catalogue, {"task.speed": 0.05, "task.end[1]": -0.28}))
     assert setup is shipped
@@ -101,7 +87,7 @@ def test_values_of_task_and_links(shipped: Setup, task: LineTask, catalogue: Cat
     ("path", "value", "said"),
     [
         ("friction.joint_2.tau_c", -1.0, "friction.joint_2: tau_c.positive is -1.0; accepted"),
-        ("friction.joint_2.ripple.motor_amplitude[0]", 0.9, "joint_amplitude is '1.05'; accepted: amplitudes that"),
+        ("friction.joint_2.ripple.motor_amplitude[0]", 0.9, "motor_amplitude is '1.1'; accepted: amplitudes that"),
         ("controller.feed_forward.coulomb", 0.5, "'controller.feed_forward.coulomb': a value is 0.5; accepted: true"),
         ("drives.elasticity.backlash[1]", 1e-3, "drives: elasticity.backlash[1] is 0.001; accepted: 0"),
         ("arm.link_2.mass", 0.0, "arm.link_2.mass is 0 kg"),
@@ -114,7 +100,7 @@ def test_values_of_task_and_links(shipped: Setup, task: LineTask, catalogue: Cat
         ("friction.joint_1.*", 1.0, "different units"),
     ],
 )
-def test_wrong_paths_and_values_are_refused(parted: Setup, path: str, value: float | str, said: str) -> None:
+def test_wrong_paths_and_values_are_refused(parted: rx.Setup, path: str, value: float | str, said: str) -> None:
     """A path that names nothing or too much, and a value out of range, are one line with what is accepted."""
     with pytest.raises(ConfigError) as caught:
         with_parameters(parted, {path: value})
@@ -124,7 +110,7 @@ def test_wrong_paths_and_values_are_refused(parted: Setup, path: str, value: flo
 
 @pytest.mark.parametrize(
     ("prefix", "kind", "without"),
-    [("friction.joint_5_6", FrictionElement, set(PART_NAMES)), ("task", LineTask, {"branch", "start_posture"})],
+    [("friction.joint_5_6", FrictionElement, set(PART_NAMES)), ("task", rx.LineTask, {"branch", "start_posture"})],
 )
 def test_every_number_has_a_path(catalogue: Catalogue, prefix: str, kind: type, without: set[str]) -> None:
     """No parameter of friction, drives, controller and line can be forgotten in the table of paths."""
@@ -155,7 +141,7 @@ def test_star_and_index_expand(catalogue: Catalogue) -> None:
     assert [catalogue.value(catalogue.places(path)[0].leaves[0]) for path in paths] == [7.0e4, 3.5, True, 0.1955]
 
 
-def test_cogging_has_paths_where_motors_cog(shipped: Setup) -> None:
+def test_cogging_has_paths_where_motors_cog(shipped: rx.Setup) -> None:
     """A wave's amplitude for one motor, or all, is set as the file has it."""
     setup = replace(shipped, drives=shipped.drives.replaced(cogging=COGGING))
     listed = {path: value for path, value in parameters(setup).items() if path.startswith("drives.cogging")}
@@ -170,7 +156,7 @@ def test_cogging_has_paths_where_motors_cog(shipped: Setup) -> None:
     assert np.array_equal(found.phase, [[0.0] * 5 + [1.0]] * 2)
 
 
-def test_every_value_of_a_part_has_a_path(parted: Setup) -> None:
+def test_every_value_of_a_part_has_a_path(parted: rx.Setup) -> None:
     """Each field of each part of an element can be set by its path, each number of a list by its index."""
     listed = rx.parameters(parted)
     for name, part in PARTS.items():
@@ -183,7 +169,7 @@ def test_every_value_of_a_part_has_a_path(parted: Setup) -> None:
     assert paths == ["friction.joint_2.load.driving"]
 
 
-def test_the_seed_is_the_plants(parted: Setup) -> None:
+def test_the_seed_is_the_plants(parted: rx.Setup) -> None:
     """The seed of a setup is a parameter, a whole number that the plant takes."""
     setup = rx.with_parameters(parted, {"arm.seed": 12})
     assert setup.seed == 12
@@ -193,7 +179,7 @@ def test_the_seed_is_the_plants(parted: Setup) -> None:
             replace(parted, seed=seed)
 
 
-def test_numpy_s_scalars_are_numbers(parted: Setup) -> None:
+def test_numpy_s_scalars_are_numbers(parted: rx.Setup) -> None:
     """A scalar of NumPy's, of whatever type, counts as Python's number of its value, and stays a plain one."""
     path = "friction.joint_2.load.driving"
     for value in (np.float32(0.25), np.float64(0.25), np.int64(0), np.float16(0.25)):
@@ -204,7 +190,7 @@ def test_numpy_s_scalars_are_numbers(parted: Setup) -> None:
     assert off.controller.feed_forward.coulomb is False
 
 
-def test_friction_must_not_follow_the_load_faster_than_the_step(parted: Setup) -> None:
+def test_friction_must_not_follow_the_load_faster_than_the_step(parted: rx.Setup) -> None:
     """A relax_time below the plant's step is refused by its path, and taken with shorter steps."""
     quick = rx.with_parameters(parted, {"friction.joint_2.load.relax_time": 1e-4})
     with pytest.raises(ConfigError, match=r"joint_2\.load\.relax_time is 0.0001 s; accepted: at least the pl"):

@@ -11,13 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from own_model import by_model
 
+import rx90_emulator as rx
 from rx90_common.base.arrays import Array
 from rx90_common.description.robot_files import PAPER
 from rx90_controller.law import cs7b
-from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.parameters import with_parameters
-from rx90_emulator.loop.setup import Setup, load_setup
 
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 REST = np.zeros(6)
@@ -94,7 +91,7 @@ REQUESTS: dict[str, Callable[[cs7b.CS7B, Array, int], object]] = {
 
 @settings(max_examples=60)
 @given(st.data())
-def test_looking_ahead_changes_no_bit(shipped: Setup, data: st.DataObject) -> None:
+def test_looking_ahead_changes_no_bit(shipped: rx.Setup, data: st.DataObject) -> None:
     """Whatever comes between two ticks, commands and set-points are those of a controller that samples each tick."""
     setup = data.draw(st.sampled_from([shipped, by_model(shipped)]))
     several, single = setup.cs7b(), setup.cs7b()
@@ -109,7 +106,7 @@ def test_looking_ahead_changes_no_bit(shipped: Setup, data: st.DataObject) -> No
         if what == "accept":
             start = several.position_tick + data.draw(st.integers(0, 60))
             to = several.trajectory.setpoints(several.position_tick)[0, 0] + 1e-4 * count
-            points = TrajectoryPoints.create(NAMES, NAMES, [0.1 + 1e-3 * count], [to], [REST], [REST])
+            points = rx.TrajectoryPoints.create(NAMES, NAMES, [0.1 + 1e-3 * count], [to], [REST], [REST])
             for each in both:
                 each.trajectory.accept(points, each.position_tick, start)
         elif what != "run":
@@ -150,7 +147,7 @@ def set_points(k: int) -> tuple[Array, Array]:
 class Controller:
     """Position, velocity and current loop of docs/explanation/closed_loop.md, or the paper's to the letter."""
 
-    def __init__(self, setup: Setup, literal: bool) -> None:
+    def __init__(self, setup: rx.Setup, literal: bool) -> None:
         self.literal = literal
         self.c, self.n = setup.controller, setup.drives.gear
         self.kt, self.peak = setup.drives.torque_constant, setup.drives.peak_current
@@ -185,7 +182,7 @@ class Controller:
 class Arm:
     """Drives, friction, arm, resolvers of docs/explanation/closed_loop.md, or the paper's constant c1; no end stops."""
 
-    def __init__(self, setup: Setup, literal: bool) -> None:
+    def __init__(self, setup: rx.Setup, literal: bool) -> None:
         self.literal = literal
         self.model, drives = setup.robot.model, setup.drives
         self.data = self.model.createData()
@@ -256,12 +253,11 @@ EXPONENTS = {
     [({}, False), (EXPONENTS, False), ({}, True)],
     ids=["as shipped", "viscous exponents", "the paper"],
 )
-def test_the_page_suffices_to_write_the_loop_again(shipped: Setup, changes: dict[str, float], literal: bool) -> None:
+def test_the_page_suffices_to_write_the_loop_again(shipped: rx.Setup, changes: dict[str, float], literal: bool) -> None:
     """Joints, bristles and motor torques of a move and the rest after it agree to rounding; so do the paper's."""
-    setup = with_parameters(shipped, changes)
-    points = TrajectoryPoints(np.array([0.0, SECONDS]), np.array([START, GOAL]), np.zeros((2, 6)), np.zeros((2, 6)))
-    ours = simulate(load_setup(robot=PAPER) if literal else setup, points, START, TICKS * T, record_fast=True)
-    assert ours.fast is not None
+    setup = rx.with_parameters(shipped, changes)
+    points = rx.TrajectoryPoints(np.array([0.0, SECONDS]), np.array([START, GOAL]), np.zeros((2, 6)), np.zeros((2, 6)))
+    ours = rx.simulate(rx.load_setup(robot=PAPER) if literal else setup, points, START, TICKS * T, record_fast=True)
     arm, controller = Arm(setup, literal), Controller(setup, literal)
     joints, bristles, motors = [], [], []
     for k in range(TICKS):
