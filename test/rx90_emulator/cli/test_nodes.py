@@ -63,11 +63,6 @@ def start(tmp_path: Path, ros_domain: int, start_apart: Start) -> Start:  # noqa
     return lambda *arguments: start_apart(sys.executable, "-c", RUN, *arguments, env=environment)
 
 
-def read_until(process: subprocess.Popen[str], line: str) -> None:
-    assert process.stdout is not None
-    assert any(read == f"{line}\n" for read in process.stdout)
-
-
 @pytest.mark.ros
 @pytest.mark.parametrize(
     ("moment", "number"),
@@ -85,7 +80,7 @@ def test_a_signal_ends_in_order_and_silently(
     if moment == "up":
         request.getfixturevalue("warm")
     process = start()
-    read_until(process, moment)
+    assert any(line == f"{moment}\n" for line in process.stdout)
     process.send_signal(number)
     process.send_signal(number)
     _, errors = process.communicate(timeout=60)
@@ -185,11 +180,14 @@ for program, words, package, broken in json.load(sys.stdin):
 def test_every_executable_says_what_is_missing(tmp_path: Path) -> None:
     """Without a package each executable, a node too, ends with 3 and a line: package, distribution, how to get it."""
     assert {" ".join(name.split()[:2]) for name in CALLS} == set(COMMANDS)
-    program_of_vplus = tmp_path / "a.v2"
-    program_of_vplus.write_text(".PROGRAM a()\n.END\n", encoding="utf-8")
+    (tmp_path / "a.v2").write_text(".PROGRAM a()\n.END\n", encoding="utf-8")
+    (tmp_path / "part.dxf").touch()
+    drawn = "path: {file: {name: part.dxf}, speed: 0.1, acceleration: 1.0, tool_rpy_degrees: [0, 180, 0]}\n"
+    (tmp_path / "drawn.yaml").write_text(drawn, encoding="utf-8")
+    before = set(tmp_path.iterdir())
     cases = [(name, words, package, False) for name, (words, package) in CALLS.items()]
     cases += [("rx90_sim", [], "numba", broken) for broken in (False, True)]
-    cases += [("rx90 sweep", ["info", "x"], "pyarrow", True)]
+    cases += [("rx90 sweep", ["info", "x"], "pyarrow", True), ("rx90 path", ["drawn.yaml"], "ezdxf", False)]
     done = subprocess.run(
         [sys.executable, "-c", CHILD], input=json.dumps(cases), cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True, timeout=600,
@@ -205,7 +203,7 @@ def test_every_executable_says_what_is_missing(tmp_path: Path) -> None:
             where = "a sourced ROS 2 Jazzy" if is_ros(package) else SOURCES[package]
             assert where in errors.removeprefix(start), errors
         assert errors.startswith(start), errors
-    assert list(tmp_path.iterdir()) == [program_of_vplus]
+    assert set(tmp_path.iterdir()) == before
 
 
 def test_each_source_is_a_distribution_of_the_set_up() -> None:

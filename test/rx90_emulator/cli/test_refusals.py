@@ -10,11 +10,6 @@ from bag_making import series
 from rx90_common.bags.writing import write_joint_states
 from rx90_emulator.cli.frame import run
 
-LONG = "x" * 250
-LINE = "rx90 line robots/rx90b/task.yaml"
-EXCITATION = "rx90 experiment excitation plan"
-TOO_LONG = "its name has 250 bytes; accepted: up to 243"
-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -47,14 +42,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("record -o taken", "taken exists; accepted: a new name"),
         ("record -o new 'joint states'", "topic 'joint states': no name that ROS accepts"),
         ("record -o new a /a", "topic /a stands twice; accepted: each topic once"),
-        (f"record -o {LONG}", TOO_LONG),
+        (f"record -o {'x' * 250}", "its name has 250 bytes; accepted: up to 243"),
         ("rx90 run --output there", "there exists; accepted: a new name"),
         ("rx90 run --start-time 1e10", "start time is 10000000000.0 s; accepted: a finite number up to 2.14748e+09 s"),
         ("rx90 rig ramp --port emulated:a", "--port 'emulated:a'; accepted: emulated, emulated:SEED"),
-        ("rx90 export urdf -o new --speeds 1", "argument --speeds: expected 2 arguments"),
-        ("rx90 run --initial-position 0", "--initial-position has 1 number; accepted: 6, one for each joint"),
-        (f"{LINE} --acceleration 40 --dry-run", "would refuse the line: point 2: joint_1 has"),
-        (f"{EXCITATION} --wall 0 0 0 1", "--wall 0 0 0 1; accepted: NX NY NZ D"),
+        ("rx90 line robots/rx90b/task.yaml --acceleration 40 --dry-run", "would refuse the line: point 2: joint_1 has"),
+        ("rx90 experiment excitation plan --wall 0 0 0 1", "--wall 0 0 0 1; accepted: NX NY NZ D"),
         ("rx90 demo --task far.yaml", "out of reach"),
     ],
 )

@@ -10,40 +10,28 @@ from typing import Any
 import numpy as np
 import pytest
 from config_samples import shipped, written
+from full_drives import DRIVE_BLOCKS
 from full_friction import write_with_parts
 from jsonschema import Draft202012Validator
 from schema_faults import schema_faults
 
-from rx90_common.base.config import read_yaml, yaml_text
-from rx90_common.base.errors import Rx90Error
+from rx90_common.base.config import read_yaml
 from rx90_common.base.models import FileModel, model_text, schema_at
 from rx90_common.base.quoting import quoted
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
-from rx90_controller.node.parameters import ControllerParameters
 from rx90_emulator.configuration.check import kind_named
 from rx90_emulator.configuration.kinds import KINDS, FileKind
-from rx90_emulator.identification.experiments.plan import INDEX
 from tools import schemas
 
 WRONG = (None, "text", True, 7, -3.5, 0, -1e30, math.nan, math.inf, [], [1.0], [["text"]], {}, {"odd": 1})
 ENDLESS = {"stiffness", "omega_d", "thermal_resistance", "heat_capacity", "derating", "limit"}
 """Keys whose values may be .inf."""
-FEW = 200  # misspelt keys of a file
 Place = tuple[Any, ...]
-SIX = [0.1] * 6
 BLOCKS: dict[str, dict[str, Any]] = {
-    "drives": {
-        "cogging": {"harmonic": [6.0], "amplitude": [SIX], "phase": [SIX]},
-        "winding": {
-            "resistance": SIX, "thermal_resistance": SIX, "heat_capacity": SIX, "ambient": 25.0, "initial": 25.0,
-            "derating": 120.0, "limit": 140.0, "reference": 20.0, "coefficient": 0.004,
-        },
-        "current_sensor": {"offset": SIX, "noise": SIX, "resolution": SIX, "bandwidth": 800.0},
-        "elasticity": {"stiffness": SIX, "damping": SIX, "backlash": SIX, "friction": "link"},
-    },
+    "drives": DRIVE_BLOCKS,
     "controller": {"model": {"urdf": "a", "drives": "b", "friction": "c", "tool": "none"}},
-}  # fmt: skip
+}
 """What the shipped files leave out."""
 
 
@@ -141,47 +129,6 @@ def test_what_the_schema_excludes_is_refused_in_a_line_that_names_the_place(
     assert refused > len(seen) > 2
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
-def test_a_misspelt_key_is_the_first_thing_named(
-    kind: FileKind, samples: list[tuple[str, Path]], tmp_path: Path
-) -> None:
-    """Whatever key lacks a letter, the reader of all commands names it first, with the key that is meant."""
-    schema = kind.json_schema()
-    misspelt: set[tuple[int, str]] = set()  # by depth and name: all joints' elements have the same keys
-    for content in [read_yaml(path, first=True) for name, path in samples if name == kind.name]:
-        for place in list(places(content))[:FEW]:
-            key = place[-1]
-            node = schema_at(schema, place[:-1], content)
-            known = key in node.get("properties", {})
-            open_mapping = node.get("additionalProperties") is not False
-            if not known or len(key) < 5 or (open_mapping and key not in node.get("required", ())):
-                continue
-            if (len(place), key) in misspelt:
-                continue
-            wrong = copy.deepcopy(content)
-            odd = key[:3] + key[4:]
-            around = holder(wrong, place)
-            around[odd] = around.pop(key)
-            path = tmp_path / INDEX
-            path.write_text(yaml_text(wrong), encoding="utf-8")
-            with pytest.raises(Rx90Error) as caught:
-                kind.read(path)
-            assert f"{odd} is not a known key (did you mean {key}?); accepted: " in str(caught.value)
-            misspelt.add((len(place), key))
-    assert misspelt
-
-
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
-def test_what_is_written_is_what_was_read(kind: FileKind, samples: list[tuple[str, Path]], tmp_path: Path) -> None:
-    """Every shipped file gives the same values again after it was written from its values."""
-    for name, path in samples:
-        if name == kind.name:
-            values = kind.model.model_validate(read_yaml(path, first=True))
-            again = tmp_path / "again.yaml"
-            again.write_text(model_text(values), encoding="utf-8")
-            assert kind.model.model_validate(read_yaml(again)) == values
-
-
 def test_the_shipped_schemas_are_those_of_the_readers() -> None:
     """The files in config/schemas/ are what `python -m tools.schemas` writes, and are schemas of draft 2020-12."""
     shipped_texts = {path.name: path.read_text(encoding="utf-8") for path in config_path("schemas").iterdir()}
@@ -190,16 +137,16 @@ def test_the_shipped_schemas_are_those_of_the_readers() -> None:
         Draft202012Validator.check_schema(kind.json_schema())
 
 
-def test_good_files_fit_their_schemas(samples: list[tuple[str, Path]]) -> None:
-    """Shipped files and those of every other kind are read, and fit their schemas."""
+def test_good_files_fit_their_schemas_and_are_written_as_they_were_read(
+    samples: list[tuple[str, Path]], tmp_path: Path
+) -> None:
+    """Files of every kind, the shipped ones too, are read; what is written from their values gives them again."""
     assert {kind for kind, _ in samples} == {kind.name for kind in KINDS}
-    for kind, path in samples:
-        kind_named(kind).read(path)
-        assert schema_faults(kind, path) == [], path
-
-
-def test_what_joint_trajectory_controller_alone_has_is_taken_out() -> None:
-    """Its parameters without a counterpart are no parameters of the node."""
-    joints = [f"joint_{k}" for k in (6, 1, 2, 3, 4, 5)]
-    given = {"joints": joints, "gains.joint_1.p": 1.0, "cmd_timeout": 0.0}
-    assert ControllerParameters.of(given) == ControllerParameters.of({})
+    again = tmp_path / "again.yaml"
+    for name, path in samples:
+        kind = kind_named(name)
+        kind.read(path)
+        assert schema_faults(name, path) == [], path
+        values = kind.model.model_validate(read_yaml(path, first=True))
+        again.write_text(model_text(values), encoding="utf-8")
+        assert kind.model.model_validate(read_yaml(again)) == values
