@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from processes import Processes, command, wait_until
 
+import rx90_emulator as rx
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import DONE, FAILED, INTERRUPTED, VERDICT_NO
 from rx90_emulator.cli.frame import run
@@ -16,8 +17,6 @@ from rx90_emulator.conformance import battery, bench, case, metrics
 from rx90_emulator.conformance.battery import CASES, Nominal, run_cs7b
 from rx90_emulator.conformance.case import Case, Record
 from rx90_emulator.conformance.check import CaseResult, Finding
-from rx90_emulator.loop.parameters import with_parameters
-from rx90_emulator.loop.setup import Setup
 
 CS7B = command("rx90_controller")
 OWN = [sys.executable, str(Path(__file__).resolve().parents[2] / "support" / "user_servo.py")]
@@ -117,7 +116,7 @@ def test_an_interrupted_check_leaves_no_controller(processes: Processes, tmp_pat
 
 
 @pytest.fixture
-def nominal(shipped: Setup, tmp_path: Path) -> Nominal:
+def nominal(shipped: rx.Setup, tmp_path: Path) -> Nominal:
     return Nominal(shipped, tmp_path)
 
 
@@ -175,7 +174,7 @@ def test_the_cs7b_passes_and_bad_gains_fail(nominal: Nominal) -> None:
         good = run_cs7b(case, nominal.setup)
         assert beyond(CaseResult(good, good).findings) == set(), name
         if name == "rest":
-            slack, stiff = (run_cs7b(case, with_parameters(nominal.setup, law))
+            slack, stiff = (run_cs7b(case, rx.with_parameters(nominal.setup, law))
                             for law in (weak, {"controller.kv[*]": 1600.0}))  # fmt: skip
             assert beyond(CaseResult(slack, good).findings) >= {"hunting", "rest_error", "tracking_error_rms"}
             assert "torque_ripple" in beyond(CaseResult(stiff, good).findings)

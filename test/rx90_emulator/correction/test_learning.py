@@ -13,8 +13,6 @@ from benchmarks.any_arm import write_arm
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, Rx90Warning
 from rx90_common.rigid_torque import rigid_torque
-from rx90_controller.lines.task import load_task
-from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
 from rx90_emulator.cli.frame import run
 from rx90_emulator.correction.file import CorrectionFile
@@ -29,17 +27,13 @@ from rx90_emulator.correction.learning import (
 )
 from rx90_emulator.correction.linearise import linearise
 from rx90_emulator.correction.methods import best_change, gains, response
-from rx90_emulator.correction.path import TrajectoryPath
 from rx90_emulator.correction.precompensation import corrected_trajectory, travelled_error
 from rx90_emulator.correction.recorded import joints_of_bag, laid_under, learn_from_record, tip_of_file
-from rx90_emulator.loop.line import plan_line
-from rx90_emulator.loop.path_file import load_trajectory
-from rx90_emulator.loop.setup import Setup
 
 
 @pytest.fixture(scope="module")
 def task() -> rx.LineTask:
-    return replace(load_task(), start=(0.6, -0.05, 0.2), end=(0.6, 0.05, 0.2), rest_before=0.4, rest_after=0.35)
+    return replace(rx.load_task(), start=(0.6, -0.05, 0.2), end=(0.6, 0.05, 0.2), rest_before=0.4, rest_after=0.35)
 
 
 def lifted(a: Array, b: Array, apart: int, count: int) -> Array:
@@ -71,10 +65,10 @@ def test_the_recursion_is_the_lifted_solution(n: int) -> None:
     assert change.ravel() == pytest.approx(expected, abs=1e-10)
 
 
-def test_the_response_is_that_of_the_servo_loop(shipped: Setup) -> None:
+def test_the_response_is_that_of_the_servo_loop(shipped: rx.Setup) -> None:
     """An offset that is held moves a stiff joint as kp kv / (s^2 + kv s + kp kv); the integrator brings the rest."""
     still = np.zeros((2000, 3, 6))
-    still[:, 0] = plan_line(shipped, load_task()).start_pose
+    still[:, 0] = rx.plan_line(shipped, rx.load_task()).start_pose
     controller = shipped.controller.replaced(servo={"ki": np.zeros(6)})
     a, b, apart = response(replace(shipped, controller=controller), still)
     state, rows = np.zeros(24), []
@@ -96,34 +90,45 @@ def test_the_response_is_that_of_the_servo_loop(shipped: Setup) -> None:
     assert state[:6] == pytest.approx(step, abs=1e-7)
 
 
-def test_trials_bring_the_true_tip_to_the_path(shipped: Setup, task: rx.LineTask) -> None:
-    """Three trials leave less than a third of the path error; the run itself, measured apart from learning, says so."""
-    learned = rx.learn_correction(shipped, task, 3)
+def test_trials_bring_the_true_tip_to_the_path_and_a_corrected_trajectory_less_so(
+    shipped: rx.Setup, task: rx.LineTask
+) -> None:
+    """Three trials leave less than a third of the path error, measured apart; the corrected trajectory far more."""
+    plan = rx.plan_line(shipped, task)
+    learned = rx.learn_correction(shipped, plan, 3)
     before = rx.run_line(shipped, task).path_accuracy.worst
     after = rx.run_line(shipped, task, correction=learned.correction).path_accuracy.worst
     assert after < before / 3.0
     assert [trial.worst for trial in learned.trials] == sorted((trial.worst for trial in learned.trials), reverse=True)
+    points = corrected_trajectory(shipped, plan, learned.correction)
+    uncorrected = travelled_error(shipped, plan, plan.points)
+    assert learned.best.worst < 0.5 * travelled_error(shipped, plan, points) < 0.5 * uncorrected
+    assert np.array_equal(points.position[0], plan.start_pose)
+    assert not points.velocity[-1].any()  # type: ignore[index]
 
 
-def test_encoders_do_not_see_what_gears_do(shipped: Setup, task: rx.LineTask) -> None:
+def test_encoders_do_not_see_what_gears_do(shipped: rx.Setup, task: rx.LineTask) -> None:
     """With elastic gears the tip's error stays where encoders are learned from, and goes where the tip is."""
     stiffness = np.array([1.5e6, 1.5e6, 5e5, 1e5, 6e4, 2e4])
     gears = shipped.drives.elasticity.replaced(stiffness=stiffness, damping=2e-4 * stiffness)
-    arm, plan, left = replace(shipped, drives=shipped.drives.replaced(elasticity=gears)), plan_line(shipped, task), []
+    arm, plan, left = (
+        replace(shipped, drives=shipped.drives.replaced(elasticity=gears)),
+        rx.plan_line(shipped, task),
+        [],
+    )
     for tip in (False, True):
         correction = rx.learn_correction(arm, plan, 3, tip=tip).correction
         measured = run_corrected(arm, plan, correction)[1]
         counts = Learner(shipped, plan).nominal.counts
         nominal = Learner(shipped, plan).nominal.tip
-        assert measured.tip is not None
         left.append(plan.distance((nominal - measured.tip)[counts]).max())
     assert left[1] < 0.02e-3
     assert left[0] > 0.05e-3
 
 
-def test_what_makes_it_worse_is_not_kept_and_divergence_ends_it(shipped: Setup, task: rx.LineTask) -> None:
+def test_what_makes_it_worse_is_not_kept_and_divergence_ends_it(shipped: rx.Setup, task: rx.LineTask) -> None:
     """Where each trial measures more error, the first correction stays the best, gains halve, and learning fails."""
-    plan = plan_line(shipped, task)
+    plan = rx.plan_line(shipped, task)
     learner = Learner(shipped, plan)
     error = 1e-4 * np.ones((len(learner.nominal.counts), 6))
     assert learner.take(Measured(error)).kept
@@ -144,9 +149,9 @@ def test_what_makes_it_worse_is_not_kept_and_divergence_ends_it(shipped: Setup, 
     assert "accepted: up to 0.01 rad" in learned.remark
 
 
-def test_a_bag_teaches_what_the_engine_does(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
+def test_a_bag_teaches_what_the_engine_does(shipped: rx.Setup, task: rx.LineTask, tmp_path: Path) -> None:
     """Bags of two trials give the engine's errors to the last bit; from joint states alone the begin is found."""
-    plan = plan_line(shipped, task)
+    plan = rx.plan_line(shipped, task)
     learner = Learner(shipped, plan)
     held = 0.6  # so that the arm is held as long as run_corrected does
     for number in range(2):
@@ -168,12 +173,12 @@ def test_a_bag_teaches_what_the_engine_does(shipped: Setup, task: rx.LineTask, t
     assert abs(float(said.split("begun at ")[1].split(" s")[0]) - held) < 2e-3
     other = replace(task, end=(0.65, 0.05, 0.25))
     with pytest.raises(ConfigError, match="of the motion's range away from the path where they fit best"):
-        joints_of_bag(tmp_path / "arm", shipped, Learner(shipped, plan_line(shipped, other)).nominal)
+        joints_of_bag(tmp_path / "arm", shipped, Learner(shipped, rx.plan_line(shipped, other)).nominal)
 
 
-def test_an_arm_goes_on_where_the_engine_has_ended(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
+def test_an_arm_goes_on_where_the_engine_has_ended(shipped: rx.Setup, task: rx.LineTask, tmp_path: Path) -> None:
     """An arm's first trial is worse than the engine's, and taught from; worse ones halve the step, the 4th fails."""
-    plan = plan_line(shipped, task)
+    plan = rx.plan_line(shipped, task)
     earlier = kept(rx.learn_correction(shipped, plan, 1), None, tmp_path / "engine.yaml")
     engine, error = earlier.head.worst[-1], run_corrected(shipped, plan, earlier.correction)[1].joints
     record = "encoders, record"
@@ -206,9 +211,9 @@ def kept(learned: LearnedCorrection, earlier: CorrectionFile | None, file: Path)
     return rx.load_correction(file)
 
 
-def test_errors_do_not_creep(shipped: Setup, task: rx.LineTask) -> None:
+def test_errors_do_not_creep(shipped: rx.Setup, task: rx.LineTask) -> None:
     """Trials that are each worse by less than the noise are not kept once they are worse than the best one by more."""
-    learner = Learner(shipped, plan_line(shipped, task), noise=1e-6)
+    learner = Learner(shipped, rx.plan_line(shipped, task), noise=1e-6)
     error = np.zeros((len(learner.nominal.counts), 6))
     error[:, 1] = 1e-4
     worst = float(learner.distance(Measured(error)).max())
@@ -219,24 +224,18 @@ def test_errors_do_not_creep(shipped: Setup, task: rx.LineTask) -> None:
 def test_an_arm_of_seven_joints_learns(tmp_path: Path) -> None:
     """From encoders and from the tip, three trials leave a third, without any coupling of motors."""
     arm = rx.load_setup(robot=write_arm(tmp_path / "arm", 7))
-    names, times = arm.robot.joint_names, np.round(np.arange(0.0, 2.0005, 0.01), 9)
-    s = np.clip((times - 0.4) / 1.2, 0.0, 1.0)[:, None]
-    way, first = np.array([0.3, -0.2, 0.2, 0.1, -0.2, 0.1, 0.2]), np.array([0.1, 0.4, 0.5, 0.1, 0.6, 0.1, 0.2])
-    rows = (
-        first + way * s**3 * (10.0 - 15.0 * s + 6.0 * s**2),
-        way * 30.0 * s**2 * (1.0 - s) ** 2 / 1.2,
-        way * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / 1.2**2,
-    )
-    points = TrajectoryPoints.create(names, names, times.tolist(), *(row.tolist() for row in rows))
+    first, last = np.array([[0.1, 0.4, 0.5, 0.1, 0.6, 0.1, 0.2], [0.4, 0.2, 0.7, 0.2, 0.4, 0.2, 0.4]])
+    rest = np.zeros((4, 7))
+    points = rx.TrajectoryPoints(np.array([0.0, 0.4, 1.6, 2.0]), np.stack([first, first, last, last]), rest, rest)
     path = rx.TrajectoryPath.of(arm, points, (0.4, 1.9))
     for tip in (False, True):
         trials = rx.learn_correction(arm, path, 3, tip=tip).trials
         assert trials[3].worst < trials[0].worst / 3.0
 
 
-def test_a_tip_is_laid_under_the_path(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
+def test_a_tip_is_laid_under_the_path(shipped: rx.Setup, task: rx.LineTask, tmp_path: Path) -> None:
     """A tip in mm on a clock of its own, at another rate, is found to microseconds; half a path is refused."""
-    plan = plan_line(shipped, task)
+    plan = rx.plan_line(shipped, task)
     nominal = Learner(shipped, plan).nominal
     times = np.arange(-0.1, plan.duration + 0.1, 0.0017)
     inside = np.clip(times, 0.0, plan.duration)
@@ -256,27 +255,27 @@ def test_a_tip_is_laid_under_the_path(shipped: Setup, task: rx.LineTask, tmp_pat
         laid_under(torn[:, 0], torn[:, 1:] / 1e3, nominal.tip, nominal, "torn")
 
 
-def test_any_trajectory_is_a_path(shipped: Setup, task: rx.LineTask) -> None:
+def test_any_trajectory_is_a_path(shipped: rx.Setup, task: rx.LineTask) -> None:
     """The distance from the path of a line's trajectory is that from the line, beside it and past its end."""
-    plan = plan_line(shipped, task)
-    path = TrajectoryPath.of(shipped, plan.points, plan.counted)
+    plan = rx.plan_line(shipped, task)
+    path = rx.TrajectoryPath.of(shipped, plan.points, plan.counted)
     rng = np.random.default_rng(2)
     tip = plan.tip(np.linspace(*plan.counted, 50)) + 1e-4 * rng.normal(size=(50, 3))
     assert path.distance(tip) == pytest.approx(plan.distance(tip), abs=2e-9)
 
 
-def test_a_closed_path_is_measured_around_where_the_tip_should_be(shipped: Setup) -> None:
+def test_a_closed_path_is_measured_around_where_the_tip_should_be(shipped: rx.Setup) -> None:
     """A tip 50 µm above a triangle that ends where it began is that far from it, near its ends, too."""
     corners = ((0.65, 0.0, 0.2), (0.57, 0.05, 0.2), (0.6, 0.0, 0.2))
     plan = rx.plan_path(shipped, rx.Path(corners[-1], tuple(rx.Segment((corner,)) for corner in corners)))
-    for path in (plan, TrajectoryPath.of(shipped, plan.points, plan.counted)):
+    for path in (plan, rx.TrajectoryPath.of(shipped, plan.points, plan.counted)):
         learner = Learner(shipped, path, tip=True)
         off = np.broadcast_to([0.0, 0.0, -5e-5], learner.nominal.tip.shape)
         assert learner.distance(Measured(np.zeros_like(learner.offsets), off)) == pytest.approx(5e-5, rel=1e-3)
 
 
 def test_a_correction_is_played_on_the_motion_that_it_was_learned_on(
-    shipped: Setup, task: rx.LineTask, tmp_path: Path
+    shipped: rx.Setup, task: rx.LineTask, tmp_path: Path
 ) -> None:
     """At another speed, on another path, robot and trajectory it is refused, whether it was learned here or read."""
     learned = rx.learn_correction(shipped, task, 1)
@@ -291,19 +290,19 @@ def test_a_correction_is_played_on_the_motion_that_it_was_learned_on(
                 rx.run_line(shipped, other, correction=correction)
         with pytest.raises(ConfigError, match="the correction was learned on the robot 'rx90b', this one is 'rx90c'"):
             rx.run_line(arm, task, correction=correction)
-        points = plan_line(shipped, replace(task, speed=0.15)).points
+        points = rx.plan_line(shipped, replace(task, speed=0.15)).points
         with pytest.raises(ConfigError, match="the correction was learned on a path"):
             rx.simulate(shipped, points, correction=correction)
         with pytest.raises(ConfigError, match="the correction was learned on a path"):
             rx.learn_correction(shipped, replace(task, speed=0.15), 1, previous=correction)
 
 
-def test_a_file_says_where_it_belongs(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
+def test_a_file_says_where_it_belongs(shipped: rx.Setup, task: rx.LineTask, tmp_path: Path) -> None:
     """It comes back to the bit; other offsets and another period are refused, another payload is warned of."""
     learned, file = rx.learn_correction(shipped, task, 1), tmp_path / "line.yaml"
     rx.write_correction(learned, file)
     found = rx.load_correction(file)
-    plan = plan_line(shipped, task)
+    plan = rx.plan_line(shipped, task)
     assert np.array_equal(found.fitting(shipped, plan).offsets, learned.correction.offsets)
     assert found.head.worst == tuple(trial.worst for trial in learned.trials)
     with pytest.warns(Rx90Warning, match=r"learned with 3\.7 kg on the last joint, there are 5 kg"):
@@ -328,17 +327,6 @@ def test_a_file_says_where_it_belongs(shipped: Setup, task: rx.LineTask, tmp_pat
         rx.load_correction(file)
 
 
-def test_a_corrected_trajectory_helps_less_than_offsets(shipped: Setup, task: rx.LineTask) -> None:
-    """The corrected path as a trajectory is better than none, and far worse than the same correction as offsets."""
-    plan = plan_line(shipped, task)
-    learned = rx.learn_correction(shipped, plan, 3)
-    points = corrected_trajectory(shipped, plan, learned.correction)
-    before = travelled_error(shipped, plan, plan.points)
-    assert learned.best.worst < 0.5 * travelled_error(shipped, plan, points) < 0.5 * before
-    assert np.array_equal(points.position[0], plan.start_pose)
-    assert not points.velocity[-1].any()  # type: ignore[index]
-
-
 def test_the_command_learns_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """`rx90 correct` learns, writes what can be played, and refuses what does not go together with 2 and a line."""
     output = tmp_path / "line.yaml"
@@ -348,7 +336,7 @@ def test_the_command_learns_and_refuses(tmp_path: Path, capsys: pytest.CaptureFi
     to = ["--output", str(tmp_path / "corrected.yaml")]
     assert run("rx90 correct", ["precompensate", str(output), "robots/rx90b/task.yaml", *to]) == 0
     assert "worst path error on the engine: 0.0" in capsys.readouterr().out
-    assert len(load_trajectory(tmp_path / "corrected.yaml", [f"joint_{k}" for k in range(1, 7)]).times) == 2801
+    assert len(rx.load_trajectory(tmp_path / "corrected.yaml", [f"joint_{k}" for k in range(1, 7)]).times) == 2801
     tables = []
     for name, more in (("asked", []), ("played", ["--correction", str(output)])):
         table = tmp_path / f"{name}.csv"
@@ -388,12 +376,12 @@ def test_offsets_beyond_the_limits_are_refused() -> None:
         Correction(0.1 * offsets, 1e-3)
 
 
-def inverse_dynamics(setup: Setup, q: Array, v: Array, a: Array) -> Array:
+def inverse_dynamics(setup: rx.Setup, q: Array, v: Array, a: Array) -> Array:
     drives = setup.drives
     return rigid_torque(setup.robot.model, drives.rotor_matrix, drives.spring_torque, q[None], v[None], a[None])[0]
 
 
-def slopes(setup: Setup, state: Array, which: int, step: float = 1e-5) -> Array:
+def slopes(setup: rx.Setup, state: Array, which: int, step: float = 1e-5) -> Array:
     columns = []
     for joint in range(6):
         move = np.zeros((3, 6))
@@ -404,7 +392,7 @@ def slopes(setup: Setup, state: Array, which: int, step: float = 1e-5) -> Array:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_derivatives_equal_differences_of_the_inverse_dynamics(shipped: Setup, seed: int) -> None:
+def test_derivatives_equal_differences_of_the_inverse_dynamics(shipped: rx.Setup, seed: int) -> None:
     """M0, C0 and K0 are the slopes of the torque, rotors, wrist coupling, gravity and spring included."""
     rng = np.random.default_rng(seed)
     state = np.stack([rng.uniform(-2.0, 2.0, 6), rng.uniform(-3.0, 3.0, 6), rng.uniform(-20.0, 20.0, 6)])

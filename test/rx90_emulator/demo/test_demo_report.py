@@ -6,20 +6,18 @@ from typing import Any
 import pytest
 
 import rx90_emulator as rx
-from rx90_common.bags.comparison import compare_bags
 from rx90_emulator.demo.demonstration import RunReport
-from rx90_emulator.loop.setup import Setup
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory: pytest.TempPathFactory, shipped: Setup, task: rx.LineTask) -> list[Path]:
+def pages(tmp_path_factory: pytest.TempPathFactory, shipped: rx.Setup, task: rx.LineTask) -> list[Path]:
     folder = tmp_path_factory.mktemp("demo")
     bag = folder / "run"
     rx.write_bag(rx.run_line(shipped, task, record_fast=True), bag)
     run = RunReport(bag, shipped, task, 0.0)
     found = [folder / "report.html", folder / "again.html"]
     for page in found:
-        page.write_text(run.page(bag, compare_bags(bag, bag), 1.0, "real time"), encoding="utf-8")
+        page.write_text(run.page(bag, rx.compare_bags(bag, bag), 1.0, "real time"), encoding="utf-8")
     return found
 
 

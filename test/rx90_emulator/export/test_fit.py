@@ -17,13 +17,11 @@ from scipy.optimize import differential_evolution
 import rx90_emulator as rx
 from benchmarks.any_arm import write_arm
 from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO
-from rx90_common.friction import FrictionElement
 from rx90_emulator.cli.frame import run
 from rx90_emulator.export.fit import fit_friction, speeds_up_to
 from rx90_emulator.export.targets import TARGETS
-from rx90_emulator.loop.setup import Setup
 
-LUGRE = FrictionElement(tau_c=25.0, tau_s=32.0, omega_s=0.05, delta=2.0, c0=1e5, c1=100.0, c2=14.0)
+LUGRE = rx.FrictionElement(tau_c=25.0, tau_s=32.0, omega_s=0.05, delta=2.0, c0=1e5, c1=100.0, c2=14.0)
 SPEEDS = speeds_up_to(4.0)
 
 
@@ -125,50 +123,25 @@ def test_errors_of_a_motor_that_turns_with_three_joints(tmp_path: Path) -> None:
     assert 0.97 * fit.worst < most <= fit.worst * (1.0 + 1e-3)
 
 
-def test_speeds_are_those_of_the_identification(shipped: Setup, tmp_path: Path) -> None:
-    """Where the friction file says at which speeds an element was identified, it is fitted over these."""
-    assert shipped.friction.file is not None
-    file = rx.FrictionFile.read(shipped.friction.file)
-    bands = {"speeds": {"joint_2": [0.004, 1.3]}}
-    path = tmp_path / "friction.yaml"
-    path.write_text(file.replaced(identification=bands).text(), encoding="utf-8")
-    fits = rx.export_robot(rx.load_setup(friction=path), "mujoco").fits
-    assert (fits[1].speeds.min(), fits[1].speeds.max()) == pytest.approx((0.004, 1.3))
-    assert fits[0].speeds.max() == pytest.approx(shipped.robot.max_velocity[0])
-
-
-def test_verdict_and_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Exit code 1 where a torque differs by more than was asked for; a bad range is one line, and writes nothing."""
+def test_verdict_and_refusals(shipped_files: rx.RobotFiles, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 1 where a torque differs by more than was asked for; bad input is one line, and writes nothing."""
     words = ["mujoco", "--robot", "tx40"]
     assert run("rx90 export", [*words, "--output", str(tmp_path / "a"), "--within", "10"]) == DONE
     assert (tmp_path / "a" / "export.yaml").is_file()
     words = ["isaaclab", "--robot", "tx40"]
     assert run("rx90 export", [*words, "--output", str(tmp_path / "b"), "--within", "0.01"]) == VERDICT_NO
     assert "joint_5 differs by up to 11.8 Nm; accepted: 0.01 Nm" in capsys.readouterr().err
-    assert run("rx90 export", [*words, "--output", str(tmp_path / "c"), "--speeds", "2", "1"]) == REFUSED
-    assert "speeds from 2 to 1 rad/s; accepted" in capsys.readouterr().err
+    shape = tmp_path / "shape.yaml"
+    text = shipped_files.friction.read_text(encoding="utf-8")
+    shape.write_text(f"{text}identification: {{speeds: {{joint_1: 3}}}}\n", encoding="utf-8")
+    for more, reason in (
+        (["--speeds", "2", "1"], "speeds from 2 to 1 rad/s; accepted"),
+        (["--speeds", "1e-300", "1"], "speeds from 1e-300 to 1 rad/s; accepted: two numbers from 1e-06 to 10000"),
+        (["--friction", str(shape)], "shape.yaml: its identification has another shape; accepted: as"),
+    ):
+        assert run("rx90 export", ["urdf", "--output", str(tmp_path / "c"), *more]) == REFUSED
+        assert reason in capsys.readouterr().err.splitlines()[-1]
     assert not (tmp_path / "c").exists()
-
-
-@pytest.mark.parametrize(("words", "reason"), [
-    (["mujocco"], "invalid choice: 'mujocco'"),
-    (["urdf", "--friction", "nan.yaml"], "nan.yaml: elements.joint_1.tau_c is nan; accepted: a finite number > 0"),
-    (["urdf", "--friction", "shape.yaml"], "shape.yaml: its identification has another shape; accepted: as"),
-    (["urdf", "--speeds", "1e-300", "1"], "speeds from 1e-300 to 1 rad/s; accepted: two numbers from 1e-06 to 10000"),
-])  # fmt: skip
-def test_bad_input_is_one_line(
-    words: list[str], reason: str, shipped: Setup, tmp_path: Path, capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    """A target's name misspelt, NaN in the friction file, a bad range: refused, and nothing is written."""
-    monkeypatch.chdir(tmp_path)
-    assert shipped.friction.file is not None
-    text = Path(shipped.friction.file).read_text(encoding="utf-8")
-    Path("nan.yaml").write_text(re.sub(r"tau_c: [\d.]+", "tau_c: .nan", text), encoding="utf-8")
-    Path("shape.yaml").write_text(f"{text}identification: {{speeds: {{joint_1: 3}}}}\n", encoding="utf-8")
-    assert run("rx90 export", [*words, "--output", "out"]) == REFUSED
-    assert reason in capsys.readouterr().err.splitlines()[-1]
-    assert not Path("out").exists()
 
 
 def test_no_controller_is_needed(tmp_path: Path) -> None:
@@ -184,17 +157,17 @@ def test_no_controller_is_needed(tmp_path: Path) -> None:
     assert fits["arm_1"]["speeds"] == pytest.approx([1e-3, 3.0])
 
 
-def one_file(setup: Setup, target: str) -> str:
+def one_file(setup: rx.Setup, target: str) -> str:
     (text,) = rx.export_robot(setup, target).files.values()
     return text
 
 
 @pytest.fixture(scope="module", params=["rx90b", "panda"])
-def robot(request: pytest.FixtureRequest) -> Setup:
+def robot(request: pytest.FixtureRequest) -> rx.Setup:
     return rx.load_setup(robot=request.param)
 
 
-def test_pinocchio_reads_friction_from_the_urdf(robot: Setup) -> None:
+def test_pinocchio_reads_friction_from_the_urdf(robot: rx.Setup) -> None:
     """Its damping and friction are those of the fit, its arm that of the setup."""
     export = rx.export_robot(robot, "urdf")
     model = pin.buildModelFromXML(one_file(robot, "urdf"))
@@ -213,7 +186,7 @@ def placed_frame(model: ET.Element, placed: Callable[[str], pin.SE3], name: str)
     return placed_frame(model, placed, frame.get("attached_to", "")) * pin.SE3(pin.rpy.rpyToMatrix(x[3:]), x[:3])
 
 
-def test_sdf_has_the_same_chain(robot: Setup) -> None:
+def test_sdf_has_the_same_chain(robot: rx.Setup) -> None:
     """Poses composed as SDF says, relative to what they name, put links and axes where Pinocchio has them."""
     model = ET.fromstring(one_file(robot, "sdf"))[0]
     poses = {one.get("name", ""): one.find("pose") for one in model if one.get("name")}
@@ -250,7 +223,7 @@ def isaac(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("isaac")
-def test_the_module_for_isaac_lab_runs(shipped: Setup) -> None:
+def test_the_module_for_isaac_lab_runs(shipped: rx.Setup) -> None:
     """It gives break-away, sliding and viscous friction for each joint by its name."""
     export, found = rx.export_robot(shipped, "isaaclab"), {}
     exec(one_file(shipped, "isaaclab"), found)

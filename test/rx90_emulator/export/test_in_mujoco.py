@@ -24,7 +24,7 @@ _STEPS = 8
 
 
 class Motion(NamedTuple):
-    """Joint positions rad, (n, 6), and friction torques Nm, (n, 7), after each tick."""
+    """Joint positions, rad, and friction torques, Nm, after each tick."""
 
     q: Array
     friction: Array
@@ -36,14 +36,18 @@ def holdable(setup: Setup) -> Setup:
     return dataclasses.replace(setup, friction=dataclasses.replace(setup.friction, elements=tuple(elements)))
 
 
+def held_torque(setup: Setup, start: Array) -> Array:
+    model = mujoco.MjModel.from_xml_string(*export_robot(setup, "mujoco").files.values())
+    data = mujoco.MjData(model)
+    data.qpos[:] = start
+    mujoco.mj_forward(model, data)
+    return np.asarray(data.qfrc_bias - data.qfrc_spring)
+
+
 def torques(setup: Setup, scenario: str) -> Array:
     """Return motor torques about those that hold the arm at START, shape (TICKS, 6)."""
     time = np.arange(TICKS)[:, None] * setup.rates.period
-    model = mujoco.MjModel.from_xml_string(*export_robot(setup, "mujoco").files.values())
-    data = mujoco.MjData(model)
-    data.qpos[:] = START
-    mujoco.mj_forward(model, data)
-    joint = data.qfrc_bias - data.qfrc_spring
+    joint = held_torque(setup, START)
     static = np.array([e.tau_s.positive for e in setup.friction.elements[:6]])
     hold, break_away = ((setup.drives.turning.joint_turns.T @ torque) / setup.drives.gear for torque in (joint, static))
     shapes = {
@@ -54,25 +58,26 @@ def torques(setup: Setup, scenario: str) -> Array:
     return np.asarray(hold + shapes[scenario] * break_away)
 
 
-def in_engine(setup: Setup, commands: Array) -> Motion:
+def in_engine(setup: Setup, commands: Array, start: Array = START) -> Motion:
     plant = setup.plant()
-    plant.reset(START)
-    q, friction = np.empty((len(commands), 6)), np.empty((len(commands), 7))
+    plant.reset(start)
+    q, friction = np.empty(commands.shape), np.empty((len(commands), len(setup.friction.elements)))
     for k, command in enumerate(commands):
         plant.step(command)
         q[k], friction[k] = plant.joint_states()[0], plant.friction_states()[2]
     return Motion(q, friction)
 
 
-def in_mujoco(setup: Setup, commands: Array, target: str = "mujoco", steps: int = 1) -> Motion:
+def in_mujoco(setup: Setup, commands: Array, target: str = "mujoco", steps: int = 1, start: Array = START) -> Motion:
     """Run the exported file under the same torques, with so many steps in a tick."""
     (text,) = export_robot(setup, target).files.values()
     model = mujoco.MjModel.from_xml_string(text)
     model.opt.timestep /= steps
     data = mujoco.MjData(model)
-    data.qpos[:] = START
-    lugre = slice(6, 13)
-    q, friction = np.empty((len(commands), 6)), np.zeros((len(commands), 7))
+    data.qpos[:] = start
+    elements = len(setup.friction.elements)
+    lugre = slice(len(start), len(start) + elements)
+    q, friction = np.empty(commands.shape), np.zeros((len(commands), elements))
     for k, command in enumerate(commands):
         data.ctrl[:] = command
         mujoco.mj_step(model, data, nstep=steps)
@@ -90,11 +95,8 @@ def test_what_mujoco_can_hold_moves_alike(shipped: Setup, scenario: str, q_bound
     """Positions and friction torques agree to the order of MuJoCo's step: with 8 steps a tick they differ by an 8th."""
     setup = holdable(shipped)
     commands = torques(setup, scenario)
-    ours, coarse, fine = (
-        in_engine(setup, commands),
-        in_mujoco(setup, commands),
-        in_mujoco(setup, commands, steps=_STEPS),
-    )
+    ours = in_engine(setup, commands)
+    coarse, fine = (in_mujoco(setup, commands, steps=steps) for steps in (1, _STEPS))
     off, less = (
         np.array([np.abs(a - b)[_SETTLED:].max() for a, b in zip(ours, theirs, strict=True)])
         for theirs in (coarse, fine)
@@ -127,7 +129,7 @@ def test_what_mujoco_cannot_hold_costs_what_the_export_says(shipped: Setup) -> N
 
 @pytest.mark.filterwarnings("ignore::rx90_common.base.errors.Rx90Warning")  # of a constant c1
 def test_a_line_under_the_same_law(shipped: Setup, task: LineTask) -> None:
-    """Fitted, the shipped elements keep joints within 0.3 mrad along a line; friction as a constraint is farther off."""
+    """Fitted, the shipped elements keep joints within 0.3 mrad; friction as a constraint is farther off."""
     found = compare(holdable(shipped), task)
     (_, here, _, _), (_, there, _, apart), (_, _, _, classic) = found["here"], found["mujoco"], found["mujoco-classic"]
     assert here > 1e-5
@@ -179,29 +181,14 @@ def test_seven_joints_with_a_motor_that_turns_with_three(tmp_path: Path) -> None
     """Under the same motor torques, with reversals, an arm with another coupling moves in MuJoCo as in the engine."""
     coupling = [*np.eye(7)[:6].tolist(), [0, 0, 0, 0, 1, -1, 1]]
     setup = holdable(load_setup(robot=write_arm(tmp_path / "arm", 7, coupling)))
-    (text,) = export_robot(setup, "mujoco").files.values()
-    model, start = mujoco.MjModel.from_xml_string(text), np.linspace(-0.4, 0.5, 7)
-    still = mujoco.MjData(model)
-    still.qpos[:] = start
-    mujoco.mj_forward(model, still)
+    start = np.linspace(-0.4, 0.5, 7)
     swing = 1.6 * np.array([e.tau_s.positive for e in setup.friction.elements[:7]])
     time = np.arange(TICKS)[:, None] * setup.rates.period
-    joint = still.qfrc_bias - still.qfrc_spring + swing * np.sin(4.0 * np.pi * time)
+    joint = held_torque(setup, start) + swing * np.sin(4.0 * np.pi * time)
     commands = joint @ setup.drives.turning.joint_turns / setup.drives.gear
-    plant, off = setup.plant(), []
-    for steps in (1, _STEPS):
-        model.opt.timestep = setup.rates.period / steps
-        data = mujoco.MjData(model)
-        data.qpos[:], worst, moved = start, 0.0, 0.0
-        plant.reset(start)
-        for k, command in enumerate(commands):
-            plant.step(command)
-            data.ctrl[:] = command
-            mujoco.mj_step(model, data, nstep=steps)
-            if k >= _SETTLED:
-                worst = max(worst, float(np.abs(plant.joint_states()[0] - data.qpos).max()))
-            moved = max(moved, float(np.abs(data.qpos - start).max()))
-        off.append(worst)
-        assert moved > 0.01
-    assert off[0] < 1e-3
-    assert off[1] < off[0] / (0.6 * _STEPS)
+    ours = in_engine(setup, commands, start).q
+    coarse, fine = (in_mujoco(setup, commands, steps=steps, start=start).q for steps in (1, _STEPS))
+    off, less = (np.abs(theirs - ours)[_SETTLED:].max() for theirs in (coarse, fine))
+    assert np.abs(fine - start).max() > 0.01
+    assert off < 1e-3
+    assert less < off / (0.6 * _STEPS)
