@@ -10,25 +10,24 @@ import pytest
 from hinge_arm import Hinge, make_hinge
 from shared_files import made_once
 
+import rx90_emulator as rx
 from benchmarks.random_friction import random_friction
 from benchmarks.synthetic_sweeps import Noise, Program, drive_torque, measured
 from rx90_common.base.errors import DONE
 from rx90_common.friction import FrictionSet
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.records import JointRecord
-from rx90_emulator.loop.setup import Setup
 
 Sweeps = Callable[..., tuple[JointRecord, FrictionSet]]
 
 
 @pytest.fixture(scope="session")
-def arm(shipped: Setup) -> RigidArm:
-    return RigidArm.from_setup(shipped)
+def arm(shipped: rx.Setup) -> rx.RigidArm:
+    return rx.RigidArm.from_setup(shipped)
 
 
 @pytest.fixture(scope="session")
-def sweeps(shipped: Setup) -> Sweeps:
+def sweeps(shipped: rx.Setup) -> Sweeps:
     """Return a maker of synthetic records: `sweeps(joints, seed, noise, payload, **program)`."""
 
     def make(

@@ -17,7 +17,6 @@ import rx90_emulator as rx
 from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.base.errors import DONE, INTERRUPTED, ConfigError, IdentificationError
 from rx90_common.description.coupling import RX_WRIST
-from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import load_friction
 from rx90_controller.trajectory.motion import Motion
 from rx90_emulator.cli.frame import run
@@ -37,15 +36,11 @@ from rx90_emulator.identification.experiments.plan import (
     read_index,
     sweep_speeds,
 )
-from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.setup import Setup
 
 pytestmark = pytest.mark.slow
 
-HOME = (0.0,) * 6
 
-
-def test_the_plan_keeps_every_limit(shipped: Setup) -> None:
+def test_the_plan_keeps_every_limit(shipped: rx.Setup) -> None:
     """Each experiment of the default plan stays within ranges, speeds and torques, by the controller's own check."""
     for experiment in make_plan(shipped.robot, shipped.drives):
         assert np.allclose(experiment.points.position[[0, -1]], poses_of(shipped).home.position, atol=1e-12)
@@ -53,18 +48,17 @@ def test_the_plan_keeps_every_limit(shipped: Setup) -> None:
         assert all(share <= 1.0 for share, _ in used.values())
 
 
-def test_a_robot_brings_its_own_poses_and_its_ranges_bound_the_sweeps(tx40: Setup) -> None:
+def test_a_robot_brings_its_own_poses_and_its_ranges_bound_the_sweeps(tx40: rx.Setup) -> None:
     """The TX40's joint 6, whose fastest sweep would take more room than it has, is swept more slowly and within it."""
     sweep = plan_experiments(tx40, ["joint_6"], quick=True)[0]
     assert 0.3 < PlannedArm.from_setup(tx40).check(sweep)["speed"][0] < 0.4
     with pytest.raises(ConfigError, match=r"no poses.yaml; accepted: a poses file"):
-        plan_experiments(replace(tx40, files=replace(tx40.files or RobotFiles(), poses=None)))
+        plan_experiments(replace(tx40, files=replace(tx40.files or rx.RobotFiles(), poses=None)))
 
 
-def test_sweeps_hold_a_logarithmic_range_in_both_directions(shipped: Setup) -> None:
+def test_sweeps_hold_a_logarithmic_range_in_both_directions(shipped: rx.Setup) -> None:
     """Joint 1 is held at 28 speeds in each direction, all different, evenly spaced in their logarithms."""
     points = make_plan(shipped.robot, shipped.drives, PlanOptions(groups=("joint_1",)))[0].points
-    assert points.velocity is not None
     same = (points.velocity[:-1, 0] == points.velocity[1:, 0]) & (points.velocity[:-1, 0] != 0.0)
     held, lasting = points.velocity[:-1, 0][same], np.diff(points.times)[same]
     assert lasting == pytest.approx(np.clip(0.6 / np.abs(held), 0.7, 4.0), abs=1.001e-3)
@@ -78,7 +72,7 @@ def test_sweeps_hold_a_logarithmic_range_in_both_directions(shipped: Setup) -> N
         assert below.max() < nominal[1] - nominal[0]
 
 
-def test_no_sweep_beats_with_the_sampling(shipped: Setup) -> None:
+def test_no_sweep_beats_with_the_sampling(shipped: rx.Setup) -> None:
     """No motor passes nearly a whole, half, third or quarter number of encoder steps in a millisecond of a sweep."""
     drives = shipped.drives
     for name, direction in directions(shipped.robot.joint_names, drives.turning).items():
@@ -95,8 +89,6 @@ def test_oscillations_are_what_they_say() -> None:
     motion = Motion(np.zeros(6))
     motion.oscillate(np.eye(6)[2], [1e-4], [8.0], 4.0)
     points = motion.points([f"joint_{i}" for i in range(1, 7)])
-    assert points.velocity is not None
-    assert points.acceleration is not None
     middle = (points.times > 1.1) & (points.times < 2.9)
     omega, time = 16.0 * np.pi, points.times[middle]
     assert np.allclose(points.position[middle, 2], 1e-4 * np.sin(omega * time), atol=1e-12)
@@ -104,7 +96,7 @@ def test_oscillations_are_what_they_say() -> None:
     assert np.allclose(points.acceleration[middle, 2], -1e-4 * omega**2 * np.sin(omega * time), atol=1e-8)
 
 
-def test_a_plan_beyond_what_joints_or_motors_may_do_is_refused(shipped: Setup) -> None:
+def test_a_plan_beyond_what_joints_or_motors_may_do_is_refused(shipped: rx.Setup) -> None:
     """More torque than the URDF allows, or acceleration than the controller, is refused with joint, value and limit."""
     robot, drives = shipped.robot, shipped.drives
     sweep_2, sweep_5 = (make_plan(robot, drives, PlanOptions(groups=(f"joint_{k}",)))[0] for k in (2, 5))
@@ -145,7 +137,7 @@ def test_the_engine_writes_the_bags_that_the_recorder_would(series: Path) -> Non
 
 
 def test_the_runs_of_one_joint_tell_that_joint_alone(
-    series: Path, identified: tuple[Path, str], shipped: Setup, check_report: Callable[[Path], None]
+    series: Path, identified: tuple[Path, str], shipped: rx.Setup, check_report: Callable[[Path], None]
 ) -> None:
     """From bags of joint 3 come a file that the simulation loads, with its values alone, a report and a verdict."""
     output, said = identified
@@ -189,11 +181,10 @@ def test_a_friction_file_says_which_bags_tell_a_value_and_how_well_they_fit(iden
 
 
 def test_the_closed_loop_along_the_recorded_set_points_is_judged_at_the_tip(
-    series: Path, shipped: Setup, tmp_path: Path
+    series: Path, shipped: rx.Setup, tmp_path: Path
 ) -> None:
     """With the friction that made the bag the tip is where it was; twice as much of joint 3 is refused by the tip."""
     (true,) = rx.check_friction(shipped.files.friction, [series / "validation"])
-    assert true.tip is not None
     assert true.tip.worst < 1e-5
     assert true.passed
     assert true.criteria[-1].quantity == "tip worst"
@@ -209,7 +200,7 @@ def test_the_closed_loop_along_the_recorded_set_points_is_judged_at_the_tip(
     }
 
 
-def short_series(setup: Setup) -> list[Experiment]:
+def short_series(setup: rx.Setup) -> list[Experiment]:
     """Return sweeps of one joint, much less than --quick: joint 4, seven speeds, 18 s; and one that is too long."""
     names, fourth = setup.robot.joint_names, np.eye(6)[3]
     cycle, slide, long = (Motion(np.zeros(6)) for _ in range(3))
@@ -234,7 +225,7 @@ EXCITATION = ExcitationOptions(harmonics=3, period=1.0, tempos=((1.0, 1),), step
 @pytest.mark.ros
 def test_experiments_run_on_the_real_nodes(
     processes: Processes,
-    shipped: Setup,
+    shipped: rx.Setup,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -277,14 +268,13 @@ def test_experiments_run_on_the_real_nodes(
     assert abs(found.c0 / true.c0 - 1.0) < 0.05
 
 
-def check_against_the_engine(bag: Path, run: Experiment, setup: Setup) -> None:
+def check_against_the_engine(bag: Path, run: Experiment, setup: rx.Setup) -> None:
     names = ("motor_states", "rx90_controller/reference")
     _, reference = recorded = [read_joint_states(bag, name) for name in names]
-    assert reference.position is not None
     still = int(np.flatnonzero((reference.position != run.points.position[0]).any(axis=1))[0]) - 1
     begin, end = (reference.stamp_ns[row] / 1e9 for row in (still, -1))
     assert end - begin > run.points.times[-1]
-    engine = simulate(setup, run.points, duration=end + 1e-3, start_time=begin, record_fast=True).series
+    engine = rx.simulate(setup, run.points, duration=end + 1e-3, start_time=begin, record_fast=True).series
     for name, found in zip(names, recorded, strict=True):
         there = np.flatnonzero(found.stamp_ns <= reference.stamp_ns[-1])
         rows = np.searchsorted(engine[name].stamp_ns, found.stamp_ns[there])

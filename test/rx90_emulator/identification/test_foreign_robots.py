@@ -29,7 +29,6 @@ def identified(arguments: Sequence[object], output: Path, capsys: pytest.Capture
     code = run("rx90 identify", [*map(str, arguments), "--output", str(output)])
     assert code == DONE, capsys.readouterr().err
     file = FrictionFile.read(output)
-    assert file.identification is not None
     parameters: dict[str, Any] = file.identification["parameters"]
     for element, values in parameters.items():
         for name, entry in values.items():

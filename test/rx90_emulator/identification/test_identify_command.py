@@ -11,19 +11,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
-from foreign_arms import urdf_text, write, write_fallback
+from foreign_arms import urdf_text, write
 from hinge_arm import CURVE, RATE, Hinge
 from processes import files_up_to
 
 import rx90_emulator as rx
 from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED, VERDICT_NO, OutputError
-from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.files import write_all
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import identify as identify_bags
 from rx90_emulator.identification import job as identify_job
-from rx90_emulator.identification.identify import check_friction
 from rx90_emulator.identification.options import RobotOptions, ValidationTolerances
 from rx90_emulator.identification.output.report import check_page
 from rx90_emulator.identification.output.summary import check_summary
@@ -48,10 +45,6 @@ def sliding(rows: Any = slice(None), header: bool = True, **changed: Callable[[H
         return ["sliding", write(folder / "bag", "/joint_states", ["hinge"], RATE, values, header=header)]  # type: ignore[arg-type]
 
     return make
-
-
-def existing(option: str, name: str) -> Change:
-    return lambda hinge, folder: ["sliding", hinge.bag, option, filled(folder / name, "mine")]
 
 
 def filled(path: Path, text: str = "") -> Path:
@@ -80,7 +73,6 @@ REFUSED_CASES = {
         "copy: also used for the identification as .*run",
     ),
     "mimic": (mimicking, "'jaw' mimics hinge; accepted: .*--joints hinge"),
-    "exists": (existing("--output", "mine.yaml"), "mine.yaml exists; accepted: another name, or --force"),
     "device": (options("--force", "--output", "/dev/full"), "/dev/full is no regular file; accepted"),
 }
 
@@ -238,23 +230,10 @@ def test_without_a_file_bristles_are_assumed(hinge: Hinge, tmp_path: Path) -> No
     file = tmp_path / "friction.yaml"
     words = ["sliding", str(hinge.bag), "--urdf", str(hinge.urdf), "--output", str(file)]
     assert run("rx90 identify", words) == DONE
-    element = FrictionFile.read(file).elements["hinge"]
+    element = rx.FrictionFile.read(file).elements["hinge"]
     mean = 0.5 * (element.tau_c.positive + element.tau_c.negative)
     assert element.c0 == pytest.approx(mean / 2.5e-4, rel=1e-5)
     assert "break away after 0.25 mrad" in file.read_text("utf-8")
-    (check,) = check_friction(file, [hinge.bag], RobotOptions(urdf=str(hinge.urdf)))
+    (check,) = rx.check_friction(file, [hinge.bag], RobotOptions(urdf=str(hinge.urdf)))
     assert check.assumed_bristles
     assert all("away from reversals" in criterion.quantity for criterion in check.criteria[:2])
-
-
-def test_other_bristles_than_lugres_are_refused(
-    hinge: Hinge, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A fallback with an elasto-plastic bristle is one line: the fit knows none."""
-    given = write_fallback(tmp_path / "given.yaml", ["hinge"])
-    content = yaml.safe_load(given.read_text(encoding="utf-8"))
-    content["elements"]["hinge"]["bristles"] = {"kind": "elasto_plastic", "break_away": 0.45}
-    given.write_text(yaml.safe_dump(content), encoding="utf-8")
-    words = ["sliding", str(hinge.bag), "--urdf", str(hinge.urdf), "--fallback", str(given)]
-    assert run("rx90 identify", [*words, "--output", str(tmp_path / "f.yaml")]) == REFUSED
-    assert "hinge.bristles: an identification with it as --fallback cannot hold" in capsys.readouterr().err

@@ -9,27 +9,24 @@ import numpy as np
 import pytest
 import yaml
 from foreign_arms import some_rows
-from numpy.typing import NDArray
 
+import rx90_emulator as rx
 from benchmarks.synthetic_sweeps import Noise, outcomes, random_bristles, recorded, run_presliding
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.share import config_path
-from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.experiments.plan import PlanOptions
 from rx90_emulator.identification.presliding import PreslidingFit, identify_presliding
 from rx90_emulator.identification.records import JointRecord
-from rx90_emulator.loop.setup import Setup
 
 pytestmark = pytest.mark.slow
 
-Array = NDArray[np.float64]
 
 WRIST = ["joint_5", "joint_6", "joints_5_6_against"]
 FOURTH = 3  # joint 4: its index, and its element's
 
 
-def oscillated(setup: Setup, groups: Sequence[str]) -> list[Any]:
+def oscillated(setup: rx.Setup, groups: Sequence[str]) -> list[Any]:
     heavy = not set(groups) <= set(WRIST)
     options = PlanOptions(
         groups=tuple(groups),
@@ -40,22 +37,22 @@ def oscillated(setup: Setup, groups: Sequence[str]) -> list[Any]:
     return run_presliding(setup, options)
 
 
-def measured(setup: Setup, runs: Sequence[Any], noise: float, seed: int = 0) -> list[JointRecord]:
+def measured(setup: rx.Setup, runs: Sequence[Any], noise: float, seed: int = 0) -> list[JointRecord]:
     """Return the records of runs with encoders and torque noise, in parts of the rig's."""
     level = Noise(noise * Noise.torque)
     return [recorded(setup, run, np.random.default_rng((seed, 1)), level) for run in runs]
 
 
-def random_set(setup: Setup, seed: int) -> Setup:
+def random_set(setup: rx.Setup, seed: int) -> rx.Setup:
     return replace(setup, friction=random_bristles(setup.friction, np.random.default_rng(seed)))
 
 
-def fitted(setup: Setup, records: Sequence[JointRecord]) -> PreslidingFit:
-    return identify_presliding(records, RigidArm.from_setup(setup), setup.friction.elements)
+def fitted(setup: rx.Setup, records: Sequence[JointRecord]) -> PreslidingFit:
+    return identify_presliding(records, rx.RigidArm.from_setup(setup), setup.friction.elements)
 
 
 @pytest.mark.parametrize(("noise", "seed"), [(0.0, 1), (0.5, 3)])
-def test_known_bristles_come_out(shipped: Setup, noise: float, seed: int) -> None:
+def test_known_bristles_come_out(shipped: rx.Setup, noise: float, seed: int) -> None:
     """From quantised encoders and noisy torques c0 comes back within 5 % and c1 within 15 %, joints 2 to 4."""
     setup = random_set(shipped, seed)
     fit = fitted(setup, measured(setup, oscillated(setup, ["joint_2", "joint_3", "joint_4"]), noise, seed))
@@ -63,7 +60,7 @@ def test_known_bristles_come_out(shipped: Setup, noise: float, seed: int) -> Non
         assert abs(outcome.error) < {"c0": 0.05, "c1": 0.15}[outcome.parameter], outcome
 
 
-def test_bristles_of_the_wrist_separate(shipped: Setup) -> None:
+def test_bristles_of_the_wrist_separate(shipped: rx.Setup) -> None:
     """The elements of joints 5, 6 and 5+6 come back apart, also where 6 and 5+6 are so weak that they break away."""
     seed = 5
     setup = random_set(shipped, seed)
@@ -80,12 +77,12 @@ def test_bristles_of_the_wrist_separate(shipped: Setup) -> None:
 
 
 @pytest.fixture(scope="module")
-def fourth(shipped: Setup) -> tuple[Setup, list[Any]]:
+def fourth(shipped: rx.Setup) -> tuple[rx.Setup, list[Any]]:
     setup = random_set(shipped, 3)
     return setup, oscillated(setup, ["joint_4"])
 
 
-def test_intervals_hold_the_truth(fourth: tuple[Setup, list[Any]]) -> None:
+def test_intervals_hold_the_truth(fourth: tuple[rx.Setup, list[Any]]) -> None:
     """Of 12 intervals from six draws of the rig's noise, 10 or more hold the truth, and errors share no sign."""
     setup, runs = fourth
     found = []
@@ -115,7 +112,7 @@ def with_spikes(record: JointRecord) -> JointRecord:
 
 @pytest.mark.parametrize("corrupt", [with_gaps, with_spikes])
 def test_corrupted_records_give_the_same_bristles(
-    fourth: tuple[Setup, list[Any]], corrupt: Callable[[JointRecord], JointRecord]
+    fourth: tuple[rx.Setup, list[Any]], corrupt: Callable[[JointRecord], JointRecord]
 ) -> None:
     """Gaps and spikes leave c0 within 5 % and c1 within 15 %; joints at rest have no number, and the reason."""
     setup, runs = fourth
@@ -128,7 +125,7 @@ def test_corrupted_records_give_the_same_bristles(
     assert "micro-oscillation" in first.reason
 
 
-def heavier(arm: RigidArm) -> RigidArm:
+def heavier(arm: rx.RigidArm) -> rx.RigidArm:
     model = arm.model.copy()
     for body in list(model.inertias)[1:]:
         body.mass, body.inertia = 2.0 * body.mass, 2.0 * body.inertia
@@ -148,11 +145,11 @@ def shifted(time: Array, torque: Array, delay: float) -> Array:
     ],
 )
 def test_a_wrong_inertia_or_delay_gives_a_reason(
-    fourth: tuple[Setup, list[Any]], change: Callable[[RigidArm], RigidArm], delay: float, reason: str
+    fourth: tuple[rx.Setup, list[Any]], change: Callable[[rx.RigidArm], rx.RigidArm], delay: float, reason: str
 ) -> None:
     """Inertias wrong by a factor of 2, and a torque stamped 5 ms early or late, give no number, and the reason."""
     setup, runs = fourth
-    arm, records = change(RigidArm.from_setup(setup)), measured(setup, runs, 0.5, 3)
+    arm, records = change(rx.RigidArm.from_setup(setup)), measured(setup, runs, 0.5, 3)
     late = [replace(record, torque=shifted(record.time, record.torque, delay)) for record in records]
     fit = identify_presliding(late, arm, setup.friction.elements)
     for estimate in fit.estimates[FOURTH].values():
@@ -160,7 +157,7 @@ def test_a_wrong_inertia_or_delay_gives_a_reason(
         assert reason in estimate.reason
 
 
-def test_a_joint_that_slides_gives_a_reason(shipped: Setup) -> None:
+def test_a_joint_that_slides_gives_a_reason(shipped: rx.Setup) -> None:
     """Oscillations that break the bristles away throughout give no number but say so."""
     options = PlanOptions(
         groups=("joint_6",), burst=4.0, presliding_cycles=(2e-3,) * 2, tone_amplitudes=(2.4e-3, 1.5e-3)
@@ -172,7 +169,7 @@ def test_a_joint_that_slides_gives_a_reason(shipped: Setup) -> None:
         assert "slide in every micro-oscillation" in estimate.reason
 
 
-def test_an_unknown_payload_gives_no_wrong_bristles(shipped: Setup, tmp_path: Path) -> None:
+def test_an_unknown_payload_gives_no_wrong_bristles(shipped: rx.Setup, tmp_path: Path) -> None:
     """With 1 kg on the flange that the description lacks, the wrist's c0 and c1 are right or not identifiable."""
     file = tmp_path / "tool.yaml"
     tool = yaml.safe_load(config_path("robots/rx90b/tool.yaml").read_text(encoding="utf-8"))
@@ -181,7 +178,7 @@ def test_an_unknown_payload_gives_no_wrong_bristles(shipped: Setup, tmp_path: Pa
     tool["inertial"]["center_of_mass"] = [0.00667, -0.00444, 0.11111]
     tool["inertial"]["inertia"] = [0.01226, 0.01264, 0.00601, 0.00047, -0.00117, 0.00078]
     file.write_text(yaml.safe_dump(tool), encoding="utf-8")
-    loaded = Setup.load(RobotFiles(tool=file))
+    loaded = rx.Setup.load(rx.RobotFiles(tool=file))
     fit = fitted(shipped, measured(loaded, oscillated(loaded, WRIST), 0.5))
     found = outcomes(fit.estimates[4:], shipped.friction.elements[4:])
     assert not all(outcome.identifiable for outcome in found)
@@ -190,9 +187,9 @@ def test_an_unknown_payload_gives_no_wrong_bristles(shipped: Setup, tmp_path: Pa
             assert abs(outcome.error) < {"c0": 0.05, "c1": 0.15}[outcome.parameter], outcome
 
 
-def test_a_record_that_tells_nothing_is_refused(shipped: Setup) -> None:
+def test_a_record_that_tells_nothing_is_refused(shipped: rx.Setup) -> None:
     """A record without small reversals is refused with its name; one that is too slow by the command's test."""
     still = np.zeros((4000, 6))
     record = JointRecord(shipped.robot.joint_names, np.arange(4000) / 1e3, still, still, still, Path("bag"), "0")
     with pytest.raises(IdentificationError, match="bag: no velocity reversals small enough"):
-        identify_presliding([record], RigidArm.from_setup(shipped), shipped.friction.elements)
+        identify_presliding([record], rx.RigidArm.from_setup(shipped), shipped.friction.elements)

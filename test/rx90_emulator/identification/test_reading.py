@@ -8,23 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 from bag_making import ROS1, joint_state, write_ros1, write_ros2
-from numpy.typing import NDArray
 
-from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.writing import write_joint_states
+import rx90_emulator as rx
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, IdentificationError
-from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.records import read_record
 from rx90_emulator.identification.robot import BagLayout, arm_layout
-from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.result import write_bag
-from rx90_emulator.loop.setup import Setup
-
-Array = NDArray[np.float64]
 
 NAMES = ("a", "b")
 PERIOD_NS = 2_000_000
-COUPLED = np.array([[50.0, 0.0], [20.0, 20.0]])
 
 
 def motion(count: int = 1000) -> tuple[Array, Array, Array]:
@@ -63,18 +55,6 @@ def test_a_foreign_robots_bag_is_read(tmp_path: Path, ros: int) -> None:
         assert np.array_equal(found, wanted)
     assert record.time[0] == pytest.approx(1.0)
     assert record.outliers == 0
-
-
-def test_motor_side_currents_become_joint_torques(tmp_path: Path) -> None:
-    """Motor angles and currents of a coupled wrist give joint angles and, by virtual work, joint torques."""
-    q, v, e = motion()
-    constants = np.array([0.1, 0.2])
-    current = np.linalg.solve(COUPLED.T, e.T).T / constants
-    path = write_ros2(tmp_path / "arm", messages(q @ COUPLED.T, v @ COUPLED.T, current, ("m1", "m2")))
-    layout = BagLayout("arm", ("m1", "m2"), NAMES, np.array([[50.0, 0.0], [20.0, 20.0]]), constants)
-    record = read_record(path, layout)
-    for found, wanted in ((record.position, q), (record.velocity, v), (record.torque, e)):
-        assert np.allclose(found, wanted, atol=1e-12)
 
 
 @pytest.mark.parametrize("given", [None, "quantised"])
@@ -143,15 +123,15 @@ def test_a_lower_rate_gives_means(tmp_path: Path) -> None:
     assert record.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def test_both_topics_of_this_project_agree(shipped: Setup, tmp_path: Path) -> None:
-    """motor_states through gears and coupling give what joint_states hold, within the encoders' counts."""
-    names, zero = shipped.robot.joint_names, np.zeros(6)
+def test_both_topics_of_this_project_agree(tx40: rx.Setup, tmp_path: Path) -> None:
+    """motor_states, motor 4 turned round, give what joint_states hold, within the encoders' counts."""
+    names, zero = tx40.robot.joint_names, np.zeros(6)
     goal = np.array([0.1, 0.4, 1.0, -0.2, 0.6, 0.3])
-    points = TrajectoryPoints.create(names, names, [0.5], [goal], [zero], [zero])
-    result = simulate(shipped, points, goal - 0.1, 0.7, record_fast=True)
-    write_bag(result, tmp_path / "run")
+    points = rx.TrajectoryPoints.create(names, names, [0.5], [goal], [zero], [zero])
+    result = rx.simulate(tx40, points, goal - 0.1, 0.7, record_fast=True)
+    rx.write_bag(result, tmp_path / "run")
     motors, joints = (
-        read_record(tmp_path / "run", arm_layout(topic, shipped.robot.joint_names, own_drives=lambda: shipped.drives))
+        read_record(tmp_path / "run", arm_layout(topic, names, own_drives=lambda: tx40.drives))
         for topic in ("motor_states", "joint_states")
     )
     same = np.isin(motors.time, joints.time)
@@ -202,7 +182,7 @@ def test_currents_are_no_torques(tmp_path: Path) -> None:
     stamps = 10**9 + PERIOD_NS * np.arange(200)
     for unit in ("A", "rad/s^2"):
         path = tmp_path / unit[0]
-        write_joint_states(path, [JointSeries("/arm", NAMES, stamps, q, v, current, effort_unit=unit)])
+        rx.write_joint_states(path, [rx.JointSeries("/arm", NAMES, stamps, q, v, current, effort_unit=unit)])
     assert "/arm: its efforts are in A; accepted: Nm, or A with --torque-constant" in refused(tmp_path / "A")
     constants = dataclasses.replace(LAYOUT, torque_constant=np.array([2.0, 3.0]))
     np.testing.assert_array_equal(read_record(tmp_path / "A", constants).torque, current * [2.0, 3.0])

@@ -10,23 +10,21 @@ from typing import Any
 import numpy as np
 import pytest
 from foreign_arms import some_rows, write_urdf
-from numpy.typing import NDArray
 
+import rx90_emulator as rx
 from benchmarks.synthetic_sweeps import Noise
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement, FrictionSet
-from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import SLIDING, Estimates
 from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, directions, make_plan, poses_of
 from rx90_emulator.identification.identify import identify_records
 from rx90_emulator.identification.output.friction_file import sweeps_text
-from rx90_emulator.identification.output.summary import identification_summary
 from rx90_emulator.identification.records import BagSource, JointRecord
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.rows.sweeps import find_blocks
 from rx90_emulator.identification.sliding import identify_sliding
-from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
 pytestmark = pytest.mark.slow
@@ -180,10 +178,10 @@ def test_a_viscous_exponent_is_found_where_there_is_one(
     assert found["omega_s"].identifiable == rises
     file = tmp_path / "friction.yaml"
     file.write_text(sweeps_text(result), encoding="utf-8")
-    read = FrictionFile.read(file)
+    read = rx.FrictionFile.read(file)
     assert [element.alpha != 1.0 for element in read.elements.entries.values()] == [e == joint for e in range(7)]
     assert read.elements[f"joint_{joint + 1}"].alpha == pytest.approx(found["alpha"].value, rel=1e-5)
-    assert " +- ".join(found["alpha"].texts()) in identification_summary(result)
+    assert " +- ".join(found["alpha"].texts()) in rx.identification_summary(result)
 
 
 @pytest.mark.parametrize(
@@ -208,7 +206,7 @@ def on_the_engine(setup: Setup, options: PlanOptions) -> list[JointRecord]:
     found = []
     for sweep in make_plan(setup.robot, setup.drives, options):
         if sweep.kind is Kind.SLIDING:
-            states = simulate(setup, sweep.points, duration=sweep.duration).slow.joint_states
+            states = rx.simulate(setup, sweep.points, duration=sweep.duration).slow.joint_states
             means = states[: len(states) // 4 * 4].reshape(-1, 4, 3, 6).mean(axis=1).transpose(1, 0, 2)
             time = 4e-3 * np.arange(means.shape[1], dtype=np.float64)
             found.append(JointRecord(setup.robot.joint_names, time, *means, Path(sweep.name), "0"))
@@ -233,7 +231,6 @@ def test_the_wrists_friction_comes_back_from_the_engine(shipped: Setup, arm: Rig
     assert not fit.estimates[0]["c2"].identifiable
 
 
-Array = NDArray[np.float64]
 Friction = Callable[[Array], Array]
 SPEEDS = np.geomspace(0.004, 1.2, 12)
 
@@ -308,8 +305,6 @@ def test_a_misfit_shows(hinge: RigidArm) -> None:
     straight_fit, humped_fit = (
         identify_sliding(series(np.random.default_rng(5), friction), hinge).curves[0] for friction in (straight, humped)
     )
-    assert straight_fit is not None
-    assert humped_fit is not None
     assert 0.3 < straight_fit.chi2 < 3.0
     assert humped_fit.chi2 > 10.0
     assert humped_fit.share > 3.0 * straight_fit.share

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,11 +12,8 @@ import yaml
 from hinge_arm import RATE, Hinge
 
 import rx90_emulator as rx
-from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.errors import DONE, REFUSED, ConfigError
-from rx90_common.estimation.law import Law, Part
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.output.summary import kept_parts
 
 GEAR, CONSTANT, ZERO = -50.0, 0.08, 0.3
 Columns = dict[str, Any]
@@ -127,7 +123,7 @@ def test_stamps_and_numbers_are_those_of_the_table(tmp_path: Path, suffix: str) 
     field = {"columns": names, "unit": "rad", "factor": [1, -1]}
     write_map(tmp_path / "log.yaml", time={"column": "t", "unit": "ns"}, names=["a", "b"], position=field,
               velocity=None, effort=None)  # fmt: skip
-    series = read_joint_states(table, "joint_states")
+    series = rx.read_joint_states(table, "joint_states")
     np.testing.assert_array_equal(series.stamp_ns, t)
     np.testing.assert_array_equal(series.position, q * [1, -1])
     assert series.names == ("a", "b")
@@ -137,7 +133,7 @@ def test_whole_times_of_few_bits_are_exact(tmp_path: Path) -> None:
     """Milliseconds in 32 bits become ns, which need more."""
     table = write_table(tmp_path / "log.npz", {"t": np.array([1, 4_000_000_000], np.uint32), "q": np.zeros(2)})
     write_map(tmp_path / "log.yaml", velocity=None, effort=None)
-    assert read_joint_states(table, "joint_states").stamp_ns.tolist() == [1_000_000, 4_000_000_000_000_000]
+    assert rx.read_joint_states(table, "joint_states").stamp_ns.tolist() == [1_000_000, 4_000_000_000_000_000]
 
 
 @pytest.mark.parametrize(
@@ -168,10 +164,10 @@ def test_damaged_tables_are_one_line(motor: Motor, tmp_path: Path, suffix: str) 
     spoilt["q"][7] = np.nan
     table = write_table(tmp_path / f"log{suffix}", spoilt)
     with pytest.raises(rx.Rx90Error, match=r"line \d+: column q is 'nan'; accepted: numbers of"):
-        read_joint_states(table, "joint_states")
+        rx.read_joint_states(table, "joint_states")
     table.write_bytes(table.read_bytes()[:-100] if suffix != ".csv" else b"\x00\xff" * 50)
     with pytest.raises(rx.Rx90Error, match=r"damaged|holds no row of numbers"):
-        read_joint_states(table, "joint_states")
+        rx.read_joint_states(table, "joint_states")
 
 
 def test_tables_of_two_arms_are_refused(motor: Motor, tmp_path: Path) -> None:
@@ -181,14 +177,3 @@ def test_tables_of_two_arms_are_refused(motor: Motor, tmp_path: Path) -> None:
     write_map(tmp_path / "b.yaml", gear=[GEAR + 1.0])
     with pytest.raises(ConfigError, match=r"b\.yaml says other things of the arm than .*a\.yaml"):
         rx.check_friction(motor.friction, tables, rx.RobotOptions(urdf=motor.urdf))
-
-
-def test_a_part_whose_values_stay_open_has_a_star() -> None:
-    """The element's name is marked."""
-    laws = [*[Law(frozenset({Part.EXPONENT}))] * 2, Law()]
-    elements: list[Any] = [
-        SimpleNamespace(estimates={"alpha": SimpleNamespace(identifiable=known)}) for known in (True, False, False)
-    ]
-    fitted = SimpleNamespace(laws=laws)
-    result: Any = SimpleNamespace(arm=SimpleNamespace(element_names="abc"), fitted=fitted, elements=elements)
-    assert kept_parts(result) == f"Coulomb + viscous + {Part.EXPONENT.value}: a, b*; * parameters stay open"

@@ -12,7 +12,6 @@ from scipy.signal import butter, resample_poly, sosfiltfilt
 import rx90_emulator as rx
 from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO, IdentificationError, TrajectoryError
 from rx90_emulator.cli.frame import run
-from rx90_emulator.loop.setup import Setup
 from rx90_emulator.measured_runs.compare import MeasuredComparison
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("undrawn")]
@@ -24,7 +23,7 @@ MOVE = [k for k in range(6) if k != STILL]
 @dataclass
 class Measured:
     folder: Path
-    setup: Setup
+    setup: rx.Setup
     run: rx.RunResult
     bag: Path
 
@@ -47,7 +46,7 @@ class Measured:
 
 
 @pytest.fixture(scope="module")
-def measured(tmp_path_factory: pytest.TempPathFactory, shipped: Setup) -> Measured:
+def measured(tmp_path_factory: pytest.TempPathFactory, shipped: rx.Setup) -> Measured:
     """Return three seconds in which joints 1 to 3, 5 and 6 turn back several times."""
     times = np.linspace(0.0, 3.0, 7)
     position = np.tile([0.0, 0.3, 0.9, 0.4, 0.5, 0.0], (7, 1))

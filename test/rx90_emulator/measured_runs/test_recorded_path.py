@@ -7,18 +7,11 @@ import pytest
 from bag_making import joint_state, write_ros2
 from pinocchio_chain import tip_place
 
-from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.reading import read_joint_states
-from rx90_common.bags.writing import write_joint_states
+import rx90_emulator as rx
 from rx90_common.base.errors import BagError
-from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.lines.plan import Approach, approached
-from rx90_controller.lines.task import load_task
 from rx90_emulator.cli.frame import run
-from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.line import path_accuracy, plan_path
 from rx90_emulator.loop.recorded_setup import ends_in_motion
-from rx90_emulator.loop.result import write_bag
 from rx90_emulator.loop.run_messages import trajectory_message
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.measured_runs.recorded_path import RecordedAccuracy, recorded_accuracy
@@ -32,15 +25,15 @@ SETPOINTS = "/rx90_controller/reference"
 
 def test_the_approach_counts_apart(shipped: Setup, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The first line is what the line's own task counts, whatever the way to it; a cut recording is said to be one."""
-    task = load_task()
-    plan = plan_path(shipped, task)
+    task = rx.load_task()
+    plan = rx.plan_path(shipped, task)
     here = plan.start_pose + 0.05
     limits = shipped.controller.limits(shipped.robot)
     line = approached(plan, here, limits, shipped.rates.position_period, Approach())
     for name, duration in (("whole", line.duration), ("cut", line.duration - 3.0)):
-        result = simulate(shipped, line.points, here, duration)
-        write_bag(result, tmp_path / name)
-        expected = path_accuracy(shipped.robot, task, result.times, result.slow.joint_states[:, 0], line.approach)
+        result = rx.simulate(shipped, line.points, here, duration)
+        rx.write_bag(result, tmp_path / name)
+        expected = rx.path_accuracy(shipped.robot, task, result.times, result.slow.joint_states[:, 0], line.approach)
         assert run("rx90 bag", ["path", str(tmp_path / name)]) == 0
         first, second, *cut = capsys.readouterr().out.splitlines()
         assert first == f"{tmp_path / name}: {expected.words}"
@@ -53,8 +46,8 @@ def test_the_approach_counts_apart(shipped: Setup, tmp_path: Path, capsys: pytes
 
 def test_the_bag_of_a_line_has_its_error(shipped: Setup, capsys: pytest.CaptureFixture[str]) -> None:
     """Across and along the line, and of the tool: as for the same states, a line for each bag."""
-    states = read_joint_states(REFERENCE, "joint_states", JOINTS)
-    expected = path_accuracy(shipped.robot, load_task(), states.time, states.fields["position"])
+    states = rx.read_joint_states(REFERENCE, "joint_states", JOINTS)
+    expected = rx.path_accuracy(shipped.robot, rx.load_task(), states.time, states.fields["position"])
     assert run("rx90 bag", ["path", str(REFERENCE), str(REFERENCE)]) == 0
     assert capsys.readouterr().out.splitlines() == [f"{REFERENCE}: {expected.words}"] * 2
 
@@ -78,11 +71,11 @@ def test_it_is_the_distance_across_the_path(shipped: Setup, tmp_path: Path) -> N
         arm[row, 1] += 1e-3
     asked = np.r_[0:200, 210:600]
     series = [
-        JointSeries("/joint_states", JOINTS, stamps * STEP, arm),
-        JointSeries(SETPOINTS, JOINTS, asked * STEP, target[asked]),
+        rx.JointSeries("/joint_states", JOINTS, stamps * STEP, arm),
+        rx.JointSeries(SETPOINTS, JOINTS, asked * STEP, target[asked]),
     ]
-    write_joint_states(tmp_path / "bag", series)
-    found, _ = recorded_accuracy(tmp_path / "bag", shipped.robot, RobotFiles())
+    rx.write_joint_states(tmp_path / "bag", series)
+    found, _ = recorded_accuracy(tmp_path / "bag", shipped.robot, rx.RobotFiles())
     counted = np.rint(found.times * 1e3).astype(int)
     np.testing.assert_array_equal(counted, np.r_[50:200, 210:501])
     lag = np.linalg.norm(tip_place(shipped.robot, arm[100]) - tip_place(shipped.robot, target[100]))
@@ -103,7 +96,7 @@ def test_an_approach_lasts_until_it_is_replaced(
     """One that takes all of the bag is told as such; another trajectory without one ends it where it starts, 100 ms."""
     stamps, target, arm = arc()
     series = [
-        JointSeries(topic, JOINTS, stamps * STEP, q) for topic, q in (("/joint_states", arm), (SETPOINTS, target))
+        rx.JointSeries(topic, JOINTS, stamps * STEP, q) for topic, q in (("/joint_states", arm), (SETPOINTS, target))
     ]
     messages = []
     for begin, rest in ((0, first), *((begin, 0) for begin in second)):
@@ -111,8 +104,8 @@ def test_an_approach_lasts_until_it_is_replaced(
         points = [{"positions": [0.0] * 6, "velocities": [0.0] * 6, "time_from_start": time} for time in times]
         content = {"joint_names": list(JOINTS), "points": points}
         messages.append(trajectory_message("/rx90_controller/trajectory_accepted", begin * STEP, content))
-    write_joint_states(tmp_path / "bag", series, messages=messages)
-    found = recorded_accuracy(tmp_path / "bag", shipped.robot, RobotFiles())._asdict()
+    rx.write_joint_states(tmp_path / "bag", series, messages=messages)
+    found = recorded_accuracy(tmp_path / "bag", shipped.robot, rx.RobotFiles())._asdict()
     counted = {kind: np.rint(part.times * 1e3).astype(int).tolist() for kind, part in found.items() if part is not None}
     border = 100 if second else 501
     ways = {"line": range(border, 501), "approach": range(50, border)}
@@ -127,7 +120,7 @@ def test_a_recording_is_cut_where_set_points_have_a_speed(tmp_path: Path) -> Non
     stamps = np.arange(5)
     moving = np.outer(stamps, [0.9e-6] * 6)
     for field, cut in (("position", True), ("velocity", False)):
-        write_joint_states(tmp_path / field, [JointSeries(SETPOINTS, JOINTS, stamps * STEP, **{field: moving})])
+        rx.write_joint_states(tmp_path / field, [rx.JointSeries(SETPOINTS, JOINTS, stamps * STEP, **{field: moving})])
         assert ends_in_motion(tmp_path / field) is cut
 
 
@@ -147,7 +140,7 @@ def test_joints_are_found_in_a_namespace_and_behind_gears(shipped: Setup, tmp_pa
         of_motors.append((SETPOINTS, time, joint_state(time, JOINTS, target[k])))
     errors = []
     for name, messages in (("joints", of_joints), ("motors", of_motors)):
-        found, _ = recorded_accuracy(write_ros2(tmp_path / name, messages), shipped.robot, RobotFiles())
+        found, _ = recorded_accuracy(write_ros2(tmp_path / name, messages), shipped.robot, rx.RobotFiles())
         errors.append(found.perpendicular)
     assert len(errors[0]) == 451
     np.testing.assert_allclose(errors[0], errors[1], atol=1e-12)
@@ -156,9 +149,11 @@ def test_joints_are_found_in_a_namespace_and_behind_gears(shipped: Setup, tmp_pa
 def test_what_has_none_is_said_and_what_is_another_arm_refused(shipped: Setup, tx40: Setup, tmp_path: Path) -> None:
     """No set-points: nothing. Two arms, another robot's bag: a line with what is accepted."""
     states = [("/joint_states", k, joint_state(k * STEP, JOINTS, [0.1] * 6)) for k in range(3)]
-    assert recorded_accuracy(write_ros2(tmp_path / "none", states), shipped.robot, RobotFiles()) == RecordedAccuracy()
+    assert (
+        recorded_accuracy(write_ros2(tmp_path / "none", states), shipped.robot, rx.RobotFiles()) == RecordedAccuracy()
+    )
     two = [(f"/{arm}/joint_states", k, message) for arm in "ab" for _, k, message in states]
     with pytest.raises(BagError, match="holds several arms, /a/joint_states, /b/joint_states; accepted: a bag of one"):
-        recorded_accuracy(write_ros2(tmp_path / "two", two), shipped.robot, RobotFiles())
+        recorded_accuracy(write_ros2(tmp_path / "two", two), shipped.robot, rx.RobotFiles())
     with pytest.raises(BagError, match=r"recorded of the robot 'rx90b'.*--robot"):
-        recorded_accuracy(REFERENCE, tx40.robot, RobotFiles.named("tx40"))
+        recorded_accuracy(REFERENCE, tx40.robot, rx.RobotFiles.named("tx40"))

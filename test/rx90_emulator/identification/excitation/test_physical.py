@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from excitation_arms import plain_arm, rigid_arm, runs_of, truth
 from foreign_arms import urdf_text
-from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.optimize import least_squares
 
 from benchmarks.excitation_runs import NOTHING, Disturbances, FourierMotion, measured
-from benchmarks.random_arms import SyntheticArm
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.bodies import (
@@ -26,13 +25,12 @@ from rx90_emulator.identification.bodies import (
     consistent_inertias,
     inertial_parameters,
 )
-from rx90_emulator.identification.fitted import FittedArm, simplest_fit
+from rx90_emulator.identification.fitted import simplest_fit
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
 from rx90_emulator.identification.rows.filtering import Bandwidths, filter_record
 
 pytestmark = pytest.mark.slow
 
-Array = NDArray[np.float64]
 RNG = np.random.default_rng(11)
 JOINTS = ["a", "b", "c"]
 URDF = urdf_text(JOINTS, ["0 0 1", "0 1 0", "0 1 0"], [4.0, 3.0, 2.0])
@@ -41,17 +39,11 @@ ROTORS = np.array([0.3, 0.2, 0.1])
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """Three joints with rotors; everything from Pinocchio's regressor.
+    """Three joints with rotors; everything from Pinocchio's regressor."""
 
-    Attributes:
-        matrix: torque columns of 30 inertial parameters and 3 rotors at 40 random motions, shape (120, 33).
-        mapping: to base parameters by a pivoted QR decomposition, shape (p, 33).
-        truth: a set of parameters that bodies have, other than the URDF's, shape (33,).
-    """
-
-    matrix: Array
-    mapping: Array
-    truth: Array
+    matrix: Array  # torque columns of 30 inertial parameters and 3 rotors at 40 random motions, (120, 33)
+    mapping: Array  # to base parameters by a pivoted QR decomposition, (p, 33)
+    truth: Array  # parameters that bodies have, other than the URDF's, (33,)
 
     def estimate(self, value: Array, deviation: float) -> BaseEstimate:
         base = self.matrix @ np.linalg.pinv(self.mapping)
@@ -213,26 +205,20 @@ def test_bodies_predict_unseen_runs_better_than_least_squares(tmp_path: Path) ->
     assert np.mean(bodies) < 0.9 * np.mean(identified)
 
 
-def few_instants(
-    folder: Path,
-) -> tuple[SyntheticArm, ExcitationProblem, ExcitationProblem, FittedArm, InertialPrior]:
-    """Return an arm of seven joints without <inertial>, a short and slowly filtered run, another one, fit and prior."""
+def test_few_instants_of_seven_joints_tell_plausible_bodies(tmp_path: Path) -> None:
+    """With fewer instants than the covariance has rows the bodies predict as the base parameters do, or better."""
     arm, names = plain_arm(1, 7, coupled=False), [f"joint_{k}" for k in range(1, 8)]
     urdf = re.sub(r"<inertial>.*?</inertial>", "", arm.urdf(), flags=re.DOTALL)
-    (folder / "arm.urdf").write_text(urdf, encoding="utf-8")
-    rigid = RigidArm.from_urdf(folder / "arm.urdf", spring=arm.spring, massless=True)
+    (tmp_path / "arm.urdf").write_text(urdf, encoding="utf-8")
+    rigid = RigidArm.from_urdf(tmp_path / "arm.urdf", spring=arm.spring, massless=True)
     problems = []
     for seed, noise in ((0, Disturbances(corner=1.0)), (7, NOTHING)):
         motion = FourierMotion.random(arm, seed, harmonics=4, period=18.0, periods=1, speed=(0.3, 0.7))
         record = measured(arm, motion, 100.0, seed, noise).record(arm)
         problems.append(ExcitationProblem.of(rigid, filter_record(record, Bandwidths(6.0, 2.0))))
+    seen, unseen = problems
     prior = InertialPrior.of_urdf(urdf, names, np.zeros(7), arm.spring[arm.spring != 0.0])
-    return arm, problems[0], problems[1], simplest_fit(problems[0]), prior
-
-
-def test_few_instants_of_seven_joints_tell_plausible_bodies(tmp_path: Path) -> None:
-    """With fewer instants than the covariance has rows the bodies predict as the base parameters do, or better."""
-    arm, seen, unseen, fit, prior = few_instants(tmp_path)
+    fit = simplest_fit(seen)
     found = consistent_inertias(BaseEstimate.of(seen, fit), prior)
     left = unseen.torque - fit.predicted(unseen)
     errors = [np.linalg.norm(left), np.linalg.norm(left - unseen.regressor @ found.shift)]

@@ -85,16 +85,12 @@ def test_short_gaps_are_bridged_and_long_ones_split() -> None:
 
 
 def test_what_cannot_be_filtered_is_refused() -> None:
-    """Bandwidths beyond the rate, runs shorter than the filters' edges, and a recording at rest are refused."""
-    with pytest.raises(IdentificationError, match="30 and 5 Hz at 50 samples per second; accepted: up to 22"):
-        filter_record(record(50.0, 10.0), Bandwidths(30.0, 5.0))
+    """Runs shorter than the filters' edges, and a recording at rest, are refused."""
     with pytest.raises(IdentificationError, match="no stretch of"):
         filter_record(record(50.0, 1.0), Bandwidths(2.0, 1.0))
     still = record(200.0, 5.0)
     with pytest.raises(IdentificationError, match="no joint moves: a, b, c"):
         Bandwidths.of([replace(still, velocity=0.0 * still.velocity)])
-    with pytest.raises(IdentificationError, match="12 samples without a gap"):
-        Bandwidths.of([record(200.0, 0.06)])
 
 
 def test_the_parallel_filter_is_a_convolution_at_the_rows(monkeypatch: pytest.MonkeyPatch) -> None:
