@@ -55,25 +55,22 @@ def run_both_ways(
     folder: Path,
     *,
     around: Sequence[str] = (),
-    composed: bool = False,
     burners: int = 0,
     rests: int = 0,
     switches: Sequence[str] = (),
-    corrected: bool = False,
 ) -> BagComparison:
     """Run the line of a shipped robot's setup both ways and compare all that was recorded, bit by bit.
 
-    `around` is the command line before those of the simulation and the controller, which then start cold; `composed`
-    puts both into one process. So many `burners` take a whole processor each while the simulation runs, which is
-    deactivated and activated so many times in between: `rests`. Then it is paced, slowly while it is to be met on its
-    way, and the pace is changed each time. `switches` of the feed-forward are on, in the setup too. `corrected`: with a
-    correction.
+    `around` is the command line before those of the simulation and the controller, which then start cold. So many
+    `burners` take a whole processor each while the simulation runs, which is deactivated and activated so many times in
+    between: `rests`. Then it is paced, slowly while it is to be met on its way, and the pace is changed each time.
+    `switches` of the feed-forward are on, in the setup too.
     """
     files = setup.files
     file = folder / "task.yaml"
     file.write_text(TASK.replace("0.6,", f"{REACH[files.urdf.parent.name]},"), encoding="utf-8")
     task = load_task(file)
-    more = _write_run(setup, task, folder, corrected=corrected)
+    _write_run(setup, task, folder)
     plan = plan_line(setup.robot, task)
     parameters = folder / "parameters.yaml"
     pose = [float(angle) for angle in plan.start_pose]
@@ -88,12 +85,12 @@ def run_both_ways(
     parameters.write_text(
         yaml.safe_dump({node: {"ros__parameters": values} for node, values in sections.items()}), encoding="utf-8"
     )
-    names = ["rx90_cell"] if composed else ["rx90_sim", "rx90_controller"]
-    simulation, *others = [
-        processes.start(*around, *executable(name), "--ros-args", "--params-file", parameters) for name in names
-    ]
+    simulation, controller = (
+        processes.start(*around, *executable(name), "--ros-args", "--params-file", parameters) for name in sections
+    )
     simulation.wait_for("]: ready: ")  # kernels that are compiled first take longer than rx90 line waits
-    line = processes.start("rx90 line", "--robot", files.urdf.parent.name, file, "--start-time", START, *more)
+    options = ("--start-time", START, "--correction", folder / "correction.yaml")
+    line = processes.start("rx90 line", "--robot", files.urdf.parent.name, file, *options)
     assert line.wait() == 0
     # Only now: whoever sent the trajectory is gone before anybody records.
     recorder = processes.start("rx90 bag", "record", "--output", folder / "recorded")
@@ -117,22 +114,17 @@ def run_both_ways(
     assert all(START < float(stop) < START + plan.duration for stop in stops)
     for burner in burning:
         burner.signal(signal.SIGKILL)
-    for other in others:  # what its last tick has brought about is sent after the command that the simulation waits for
+    # What the controller's last tick has brought about is sent after the command that the simulation waits for.
+    for other in (controller, recorder):
         other.signal(signal.SIGINT)
         assert other.wait() == 0
-    recorder.signal(signal.SIGINT)
-    assert recorder.wait() == 0
     assert not re.findall("^(?:lost|not recorded|nothing recorded): .*", recorder.output, re.MULTILINE)
     return compare_bags(folder / "recorded", folder / "closed_loop")
 
 
-def _write_run(setup: Setup, task: LineTask, folder: Path, *, corrected: bool) -> list[str | Path]:
-    """Write the run of the closed loop; return the options of rx90 line for the same."""
-    learned = learn_correction(setup, task, 1) if corrected else None
-    correction = None if learned is None else learned.correction
-    run = run_line(setup, task, start_time=START, record_fast=True, correction=correction)
+def _write_run(setup: Setup, task: LineTask, folder: Path) -> None:
+    """Write the run of the closed loop, and the correction that it was done with."""
+    learned = learn_correction(setup, task, 1)
+    run = run_line(setup, task, start_time=START, record_fast=True, correction=learned.correction)
     write_bag(run, folder / "closed_loop")
-    if learned is None:
-        return []
     write_correction(learned, folder / "correction.yaml")
-    return ["--correction", folder / "correction.yaml"]

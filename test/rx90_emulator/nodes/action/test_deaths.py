@@ -2,14 +2,13 @@
 
 import signal
 import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 from processes import TIMEOUT, Processes, own_processes
-from ros_client import JOINTS, Client
+from ros_client import Client
 from sensor_msgs.msg import JointState
 
 from rx90_common.base.rates import NANOSECONDS
@@ -63,12 +62,6 @@ class Pair:
         return [once, ended, self.goals.feedback]
 
 
-@contextmanager
-def started(folder: Path) -> Iterator[Pair]:
-    with own_processes(folder) as processes, closing(Client()) as client:
-        yield Pair(client, processes)
-
-
 def killed(pair: Pair) -> None:
     from action_client import move
 
@@ -106,7 +99,8 @@ def test_a_stamped_goal_gives_the_same_bits_in_every_run_and_who_dies_ends_one(
     runs = []
     for name, end in (("first", killed), ("other", interrupted)):
         (tmp_path / name).mkdir()
-        with started(tmp_path / name) as pair:
+        with own_processes(tmp_path / name) as processes, closing(Client()) as client:
+            pair = Pair(client, processes)
             runs.append(pair.begun())
             end(pair)
     (first_messages, first_ended, first_feedback), (messages, ended, feedback) = runs
@@ -117,16 +111,3 @@ def test_a_stamped_goal_gives_the_same_bits_in_every_run_and_who_dies_ends_one(
     assert (ended.status, ended) == (SUCCEEDED, first_ended)
     assert len(feedback) == TOLD
     assert feedback == first_feedback
-
-
-def test_a_goal_in_free_running_time(needs_action: None, processes: Processes) -> None:  # noqa: ARG001
-    """Where nobody holds time back a goal is followed to its result as well."""
-    from action_client import GoalClient, move
-
-    processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:time_mode:=free_running")
-    with closing(Client()) as client:
-        goals = GoalClient(client)
-        ended = goals.wait(goals.result_of(goals.send(move(0.02, 0.3))))
-        assert (ended.status, ended.result.error_code) == (SUCCEEDED, 0)
-        client.spin_until(lambda: bool(goals.feedback), "what was told of it")
-        assert [feedback.joint_names for feedback in goals.feedback][:1] == [JOINTS]

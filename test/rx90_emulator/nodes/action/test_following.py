@@ -3,8 +3,6 @@
 import re
 import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -54,31 +52,6 @@ def test_a_goal_is_followed_and_told_of(bench: Bench) -> None:
         )
     bench.time.run(0.2)
     assert list(bench.heard()[-1].position) == pytest.approx([0.05] * 6, abs=1e-12)
-
-
-def test_ten_thousand_points(bench: Bench) -> None:
-    """A goal of 10,000 points is followed through all of them; so is a trajectory on the topic, in the same bits."""
-    from action_client import goal, point
-    from trajectory_msgs.msg import JointTrajectory
-
-    bench.home()
-    begin, times = bench.now + 0.1, np.arange(1, 10_001) * 1e-4
-    shape = 0.05 * (10 * times**3 - 15 * times**4 + 6 * times**5)  # at rest at both ends
-    speed = 0.05 * (30 * times**2 - 60 * times**3 + 30 * times**4)
-    speed[-1] = 0.0
-    points = [point(t, [q] * 6, [v] * 6) for t, q, v in zip(times, shape, speed, strict=True)]
-    assert bench.follow(goal(*points, start=begin)).status == SUCCEEDED
-    passed = bench.set_points_from(begin, 1000)
-    assert np.abs(passed - shape[9::10][:, None]).max() < 1e-9
-
-    bench.home()
-    begin = bench.now + 0.1  # the client may not have heard of the last ticks
-    topic = bench.client.node.create_publisher(JointTrajectory, "rx90_controller/joint_trajectory", 1)
-    bench.client.spin_until(lambda: topic.get_subscription_count() > 0, "the controller")
-    topic.publish(goal(*points, start=begin).trajectory)
-    bench.said("trajectory accepted: 10000 points")
-    bench.time.run(1.1 + 2 * STEP)
-    assert np.array_equal(bench.set_points_from(begin, 1000), passed)
 
 
 def test_speed_scaling_along_the_path(bench: Bench, acceleration: NDArray[np.float64]) -> None:
@@ -189,35 +162,6 @@ def test_controller_state_has_what_the_other_topics_have(bench: Bench) -> None:
         assert len(state.output.effort) == 6
         since = state.reference.time_from_start
         assert since.sec + since.nanosec * 1e-9 == pytest.approx(min(seconds(state) - begin, 0.4), abs=1e-9)
-
-
-@contextmanager
-def allowed(bench: Bench, option: str) -> Iterator[None]:
-    assert bench.client.set_parameters("rx90_controller", **{option: True}) == [""]
-    try:
-        yield
-    finally:
-        assert bench.client.set_parameters("rx90_controller", **{option: False}) == [""]
-
-
-def test_a_goal_may_end_with_a_velocity_and_begin_where_the_path_is(bench: Bench) -> None:
-    """With its option the last point may move, behind which the arm brakes; the first one may be in the past."""
-    from action_client import goal, point
-
-    bench.home()
-    with allowed(bench, "allow_nonzero_velocity_at_trajectory_end"), allowed(bench, "allow_trajectory_replacement"):
-        _, first = bench.begin(goal(point(0.3, [0.03] * 6, [0.1] * 6), point(0.6, [0.05] * 6)))
-        bench.time.run(0.2)
-        points = [point(0.0, [9.0] * 6), point(0.3, [0.04] * 6, [0.1] * 6)]
-        _, second = bench.begin(goal(*points, start=bench.now - 0.05))
-        assert bench.goals.wait(first).result.error_string.startswith("pre-empted")
-        bench.time.run(0.6)
-        # It passes its last point with 0.1 rad/s, while 0.01 rad/s would be rest: the goal waits for that.
-        assert bench.goals.wait(second).status == SUCCEEDED
-    velocity, position = bench.velocities(), np.array([message.position for message in bench.set_points])
-    assert np.abs(np.diff(velocity, axis=0)).max(axis=0) == pytest.approx(np.zeros(6), abs=0.0601)
-    assert np.diff(position, axis=0) == pytest.approx(0.5e-3 * (velocity[1:] + velocity[:-1]), abs=1e-5)
-    assert not velocity[-1].any()
 
 
 def test_the_pages_program_sends_a_goal_and_one_that_is_killed_leaves_it_to_the_controller(

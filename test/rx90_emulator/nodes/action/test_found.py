@@ -41,9 +41,9 @@ def test_rqt_finds_it_and_its_sliders_move_it(bench: Bench, shipped: Setup) -> N
 
 
 def test_moveit_finds_it_and_calls_its_action(bench: Bench) -> None:
-    """Ros2ControlManager has one active controller with six joints, nothing to switch for it, and a goal succeeds."""
+    """Ros2ControlManager has one active controller with six joints, and a goal succeeds; none while it is inactive."""
     from action_client import move
-    from controller_clients import MoveIt
+    from controller_clients import MoveIt, Rqt
 
     bench.client.spin_until(lambda: MoveIt.namespaces(bench.client) == ["/"], "a controller manager")
     manager = MoveIt(bench.client)
@@ -51,6 +51,15 @@ def test_moveit_finds_it_and_calls_its_action(bench: Bench) -> None:
     assert list(manager.managed) == [f"/{NAME}"]
     assert manager.managed[f"/{NAME}"].required_command_interfaces == [f"{joint}/position" for joint in JOINTS]
     assert bench.follow(move(0.05, 0.5)).status == SUCCEEDED
+    assert bench.client.transition(NAME, "deactivate")
+    manager.discover()
+    assert manager.active == {}
+    assert manager.managed[f"/{NAME}"].state == "inactive"
+    assert Rqt(bench.client).running("/controller_manager") == []
+    assert bench.client.transition(NAME, "activate")
+    bench.time.run(STEP)  # the torque comes back with a tick
+    manager.discover()
+    assert manager.active == {NAME: JOINTS}
 
 
 def test_what_cannot_be_exchanged_is_answered_so(bench: Bench) -> None:
@@ -93,18 +102,3 @@ def test_interfaces_and_hardware_are_those_of_the_arm(bench: Bench, shipped: Set
     assert (component.name, component.type, component.state.label) == (shipped.robot.model.name, "system", "active")
     types = ask(srv.ListControllerTypes, "list_controller_types")
     assert types.types == ["joint_trajectory_controller/JointTrajectoryController"]
-
-
-def test_an_inactive_controller_is_listed_so(bench: Bench) -> None:
-    """Deactivated it claims nothing and is not MoveIt's to use; active again it is."""
-    from controller_clients import MoveIt, Rqt
-
-    assert bench.client.transition(NAME, "deactivate")
-    manager = MoveIt(bench.client)
-    assert manager.active == {}
-    assert manager.managed[f"/{NAME}"].state == "inactive"
-    assert Rqt(bench.client).running("/controller_manager") == []
-    assert bench.client.transition(NAME, "activate")
-    bench.time.run(STEP)  # the torque comes back with a tick
-    manager.discover()
-    assert manager.active == {NAME: JOINTS}
