@@ -14,16 +14,13 @@ from report_pages import ReportCheck
 from two_joints import CURVES, NAMES, RATE, Bench, fourier
 
 import rx90_emulator as rx
-from rx90_common.bags.comparison import compare_bags
 from rx90_common.base.share import SOURCE_RIG, config_path
 from rx90_common.report.charts import chart
 from rx90_common.report.page import render_page
-from rx90_controller.lines.task import load_task
 from rx90_emulator.cli.frame import run
 from rx90_emulator.conformance.battery import Nominal, run_cs7b, step
 from rx90_emulator.conformance.check import CaseResult, CheckResult
 from rx90_emulator.demo.demonstration import RunReport
-from rx90_emulator.loop.setup import Setup
 
 _NOTE_CANVAS = """() => {
     window.written = [];
@@ -31,7 +28,7 @@ _NOTE_CANVAS = """() => {
     const write = canvas.fillText;
     canvas.fillText = function (text, ...rest) { window.written.push(text); write.call(this, text, ...rest); };
 }"""
-Arm = tuple[Path, Setup, Path]
+Arm = tuple[Path, rx.Setup, Path]
 
 
 @pytest.fixture(scope="module")
@@ -40,9 +37,9 @@ def arm(tmp_path_factory: pytest.TempPathFactory, task_file: Path) -> Arm:
     folder.mkdir()
     task = folder / "task"
     task.write_text(re.sub("(rest_.*):.*", r"\1: 0.4", task_file.read_text(encoding="utf-8")), encoding="utf-8")
-    setup = Setup.load(hostile_robot(folder, task))
+    setup = rx.Setup.load(hostile_robot(folder, task))
     bag = folder / "<img src=x onerror=window.ran=1> ``` {{7*7}}"
-    rx.write_bag(rx.run_line(setup, load_task(folder / "task.yaml"), record_fast=True), bag)
+    rx.write_bag(rx.run_line(setup, rx.load_task(folder / "task.yaml"), record_fast=True), bag)
     return folder, setup, bag
 
 
@@ -52,8 +49,8 @@ def _plotted(arm: Arm, page: Path) -> None:
 
 def _demonstrated(arm: Arm, page: Path) -> None:
     folder, setup, bag = arm
-    report = RunReport(bag, setup, load_task(folder / "task.yaml"), 0.0)
-    page.write_text(report.page(bag, compare_bags(bag, bag), 1.0, "real time"), encoding="utf-8")
+    report = RunReport(bag, setup, rx.load_task(folder / "task.yaml"), 0.0)
+    page.write_text(report.page(bag, rx.compare_bags(bag, bag), 1.0, "real time"), encoding="utf-8")
 
 
 def _measured(arm: Arm, page: Path) -> None:

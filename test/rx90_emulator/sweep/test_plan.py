@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import rx90_emulator as rx
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import config_path
-from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.parameters import Catalogue
 from rx90_emulator.sweep.plan import DrawnValues, NormalDistribution, SweepPlan, load_sweep_plan, plan_hash
 from rx90_emulator.sweep.runs import RunDescription, RunList
-from rx90_emulator.sweep.sweep import Sweep
 
 ROOT = Path(__file__).resolve().parents[3]
 SHARES = (2.0**-54, 1e-6, 0.25, 0.5, 0.9, 1.0 - 2.0**-53)
@@ -109,12 +108,11 @@ def test_shipped_and_documented_plans_fit(
     assert run("rx90 sweep", ["run", "--help"]) == 0
     named = set(re.findall(r"sweep/\w+\.yaml", capsys.readouterr().out))
     assert named == {f"sweep/{path.name}" for path in config_path("sweep").glob("*.yaml")}
-    assert all(len(Sweep(load_sweep_plan(name))) > 0 for name in named)
+    assert all(len(rx.Sweep(load_sweep_plan(name))) > 0 for name in named)
     page = (ROOT / "docs/howto/sweep.md").read_text(encoding="utf-8")
     (text,) = re.findall(r"^```yaml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     said = re.search(r"This plan has .* = (\d+) runs", page)
-    assert said is not None
-    assert len(Sweep(load_sweep_plan(written(tmp_path, text)))) == int(said[1]) == 29
+    assert len(rx.Sweep(load_sweep_plan(written(tmp_path, text)))) == int(said[1]) == 29
 
 
 @pytest.mark.parametrize(
@@ -143,7 +141,7 @@ def test_shipped_and_documented_plans_fit(
 def test_bad_plans_get_one_line(tmp_path: Path, block: str, said: str) -> None:
     """A mistake in a plan is refused in one line that names the place, the value and what is accepted."""
     with pytest.raises(ConfigError) as error:
-        Sweep(load_sweep_plan(written(tmp_path, f"blocks:\n  a: {block}")))
+        rx.Sweep(load_sweep_plan(written(tmp_path, f"blocks:\n  a: {block}")))
     assert said in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -151,14 +149,14 @@ def test_bad_plans_get_one_line(tmp_path: Path, block: str, said: str) -> None:
 def test_a_plan_names_a_robot_and_an_option_another(tmp_path: Path) -> None:
     """`robot` sets all files and the task, single files win over it, and who runs the plan may take another robot."""
     blocks = "blocks: {one: {grid: {task.speed: {value: [0.1]}}}}\n"
-    assert load_sweep_plan(written(tmp_path, f"base: {{tool: none}}\n{blocks}")).base.files == RobotFiles(tool=None)
+    assert load_sweep_plan(written(tmp_path, f"base: {{tool: none}}\n{blocks}")).base.files == rx.RobotFiles(tool=None)
     plan = written(tmp_path, f"base: {{robot: tx40, friction: robots/rx90b/friction.yaml}}\n{blocks}")
-    rough = RobotFiles().friction
-    assert load_sweep_plan(plan).base.files == replace(RobotFiles.named("tx40"), friction=rough)
-    assert load_sweep_plan(plan, robot="rx90b").base.files == RobotFiles()
-    outcome = Sweep(load_sweep_plan(plan)).run(0)
+    rough = rx.RobotFiles().friction
+    assert load_sweep_plan(plan).base.files == replace(rx.RobotFiles.named("tx40"), friction=rough)
+    assert load_sweep_plan(plan, robot="rx90b").base.files == rx.RobotFiles()
+    outcome = rx.Sweep(load_sweep_plan(plan)).run(0)
     assert (outcome.error, outcome.metrics is not None) == (None, True)
-    shutil.copytree(RobotFiles.named("tx40").urdf.parent, tmp_path / "my_arm")
+    shutil.copytree(rx.RobotFiles.named("tx40").urdf.parent, tmp_path / "my_arm")
     own = load_sweep_plan(written(tmp_path, f"base: {{robot: my_arm}}\n{blocks}")).base.files
     assert own.urdf == tmp_path / "my_arm" / "robot.urdf"
 

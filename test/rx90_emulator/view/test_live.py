@@ -16,15 +16,11 @@ from pinocchio_chain import tip_place
 from processes import Processes, wait_until
 from short_task import SHORT_TASK
 
+import rx90_emulator as rx
 from rx90_common.description.kinematics import tip_position
 from rx90_common.exchange.arm_watch import JointSample, NodeStatus, Trajectory
 from rx90_common.process.children import ChildProcess
 from rx90_controller.lines.plan import Approach, approached
-from rx90_controller.lines.task import LineTask, load_task
-from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.line import path_accuracy, plan_path
-from rx90_emulator.loop.path_file import load_path
-from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import live as live_module
 from rx90_emulator.view.live import LiveView
 from rx90_emulator.view.page import Page
@@ -51,7 +47,7 @@ def near(shown: BrowserPage, where: np.ndarray) -> Callable[[], bool]:
 
 
 @pytest.mark.ros
-def test_nodes_come_go_and_come_again(shipped: Setup, processes: Processes, open_page: Open) -> None:
+def test_nodes_come_go_and_come_again(shipped: rx.Setup, processes: Processes, open_page: Open) -> None:
     """The page waits for nodes, shows their arm, says that they have gone, and that others are of another robot."""
     view = processes.start("rx90 view", "--port", 0, "--ros-args", "-r", "__ns:=/cell_1")
     shown = open_page(address(view), SIZE, pictures="few")
@@ -95,11 +91,11 @@ def page() -> Iterator[Page]:
 
 
 @pytest.fixture
-def view_of(page: Page, shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> Callable[..., LiveView]:
+def view_of(page: Page, shipped: rx.Setup, monkeypatch: pytest.MonkeyPatch) -> Callable[..., LiveView]:
     no_client: Any = SimpleNamespace(node=None)
     monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: None))
 
-    def make(watch: Any, line: LineTask | None = None) -> LiveView:
+    def make(watch: Any, line: rx.LineTask | None = None) -> LiveView:
         monkeypatch.setattr(live_module, "ArmWatch", lambda *_: watch)
         return LiveView(page, no_client, shipped.robot, "rx90_controller", line)
 
@@ -136,7 +132,7 @@ def test_each_fact_stands_in_its_row(view_of: Callable[..., LiveView]) -> None:
             "rx90_controller": NodeStatus(0, "holding", {"enabled": "true"}),
         },
     )  # fmt: skip
-    view = view_of(watch, load_task())
+    view = view_of(watch, rx.load_task())
 
     def rows(now: float) -> dict[str, str]:
         simulated[0] = 100.0 + 0.25 * now
@@ -163,22 +159,22 @@ def test_each_fact_stands_in_its_row(view_of: Callable[..., LiveView]) -> None:
 
 
 START, END = np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2])
-LINE = LineTask(tuple(START), tuple(END))
+LINE = rx.LineTask(tuple(START), tuple(END))
 REST = np.array([True, True])
 LATE = 90  # samples before the trajectory is known
 
 
 @pytest.mark.parametrize("of", ["line", "circle"])
-def test_the_largest_is_that_of_the_run(shipped: Setup, page: Page, of: str) -> None:
+def test_the_largest_is_that_of_the_run(shipped: rx.Setup, page: Page, of: str) -> None:
     """What counts on the page is what `path_accuracy` counts, though the trajectory comes late; backwards nothing."""
-    task = replace(load_task() if of == "line" else load_path("paths/circle.yaml"), rest_before=0.05)
-    plan = plan_path(shipped, task)
+    task = replace(rx.load_task() if of == "line" else rx.load_path("paths/circle.yaml"), rest_before=0.05)
+    plan = rx.plan_path(shipped, task)
     limits = shipped.controller.limits(shipped.robot)
     here = plan.start_pose + 0.05
     line = approached(plan, here, limits, shipped.rates.position_period, Approach())
-    run = simulate(shipped, line.points, here)
+    run = rx.simulate(shipped, line.points, here)
     times, position = run.times[::10], run.slow.joint_states[::10, 0]
-    expected = path_accuracy(shipped.robot, task, times, position, line.approach)
+    expected = rx.path_accuracy(shipped.robot, task, times, position, line.approach)
     meter = LineScene(page, "/line", task)
     spots = tip_position(shipped.robot.chain, position)
 
@@ -222,7 +218,6 @@ def test_a_run_stays_until_the_next_one_begins(page: Page) -> None:
     for error in (3e-5, 1e-5):
         meter.follow(np.array([2.0, 6.0]), ends, REST)
         meter.add(times, spot(times, 2.0, error))
-        assert meter.largest is not None
         assert meter.largest[0] == pytest.approx(error)
         meter.begin_again()
         meter.add(times, spot(times, 2.0, 1.0))
@@ -233,7 +228,6 @@ def test_a_run_stays_until_the_next_one_begins(page: Page) -> None:
         assert meter.largest[0] == pytest.approx(error)
     meter.follow(np.array([26.0, 30.0]), ends[::-1], REST)  # back
     assert np.isnan(meter.add(times + 24.0, spot(times, 2.0, 1.0))).all()
-    assert meter.largest is not None
     assert meter.largest[0] == pytest.approx(5e-6)
 
 

@@ -17,9 +17,8 @@ from browser import BrowserPage, served
 from PIL import Image
 from pinocchio_chain import tip_pose
 
+import rx90_emulator as rx
 from rx90_common.base.errors import ConfigError
-from rx90_controller.lines.task import LineTask
-from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.scene import ArmScene, LineScene
 
@@ -34,12 +33,12 @@ def page() -> Iterator[Page]:
         yield page
 
 
-def test_arms_are_drawn_where_pinocchio_says(shipped: Setup, tx40: Setup, page: Page, open_page: Open) -> None:
+def test_arms_are_drawn_where_pinocchio_says(shipped: rx.Setup, tx40: rx.Setup, page: Page, open_page: Open) -> None:
     """The tips' poses in the browser's own scene are those of the forward kinematics, and follow them."""
     arms = [(setup, ArmScene(page, f"/{setup.robot.model.name}", setup.robot)) for setup in (shipped, tx40)]
     shown = open_page(page.address, (1000, 700), pictures="few")
 
-    def at(setup: Setup, arm: ArmScene, position: np.ndarray) -> bool:
+    def at(setup: rx.Setup, arm: ArmScene, position: np.ndarray) -> bool:
         return bool(np.allclose(shown.pose(arm.tip), tip_pose(setup.robot, position), atol=PIXEL))
 
     for position in (np.zeros(6), POSE):
@@ -55,7 +54,7 @@ def test_the_trace_has_the_colours_of_the_path_error(page: Page, monkeypatch: py
     add = page.add_lines
     monkeypatch.setattr(page, "add_lines", lambda name, *a, **k: made.setdefault(name, add(name, *a, **k)))
     start, end = np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2])
-    line = LineScene(page, "/line", LineTask(tuple(start), tuple(end)))
+    line = LineScene(page, "/line", rx.LineTask(tuple(start), tuple(end)))
     tips = np.array([[0.5, 0.02, 0.2], [0.5, 0.0, 0.2], [0.6, 0.0, 0.2], [0.7, 1e-4, 0.2], [0.8, 0.0, 0.2]])
     line.follow(np.array([1.5, 9.0]), np.stack([start, end]), np.array([True, True]))
     line.add(np.arange(5.0), tips)
@@ -75,7 +74,7 @@ def test_a_trace_has_its_colours_on_a_page_that_was_there_before_it(page: Page, 
     start, end = np.array([-0.4, 0.0, 0.0]), np.array([0.4, 0.0, 0.0])
     camera = page.server.initial_camera
     camera.position, camera.look_at, camera.up = (0.0, -0.5, 0.5), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-    line = LineScene(page, "/line", LineTask(tuple(start), tuple(end)))
+    line = LineScene(page, "/line", rx.LineTask(tuple(start), tuple(end)))
     shown = open_page(page.address, (900, 200), pictures="every")
     times = np.arange(100) * 0.1
 

@@ -17,13 +17,12 @@ from processes import Processes, wait_until
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
+import rx90_emulator as rx
 from rx90_common.exchange.arm_watch import ArmWatch, JointSample, NodeStatus
 from rx90_common.exchange.client_node import client_node
 from rx90_controller.lines.plan import Approach, LinePlan
 from rx90_controller.lines.task import TOOL_DOWN, LineTask
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
-from rx90_emulator.loop.line import plan_path
-from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import live as live_module
 from rx90_emulator.view import panel as panel_module
 from rx90_emulator.view.live import LiveView
@@ -44,8 +43,8 @@ CAMERA = {
 
 
 @pytest.fixture(scope="module")
-def plan(shipped: Setup) -> LinePlan:
-    return plan_path(shipped, LINE)
+def plan(shipped: rx.Setup) -> LinePlan:
+    return rx.plan_path(shipped, LINE)
 
 
 class Stranger:
@@ -77,7 +76,7 @@ class Stranger:
 
 @pytest.mark.ros
 def test_who_has_the_code_moves_the_arm_and_nobody_else(
-    processes: Processes, shipped: Setup, plan: LinePlan, open_page: Open, capfd: pytest.CaptureFixture[str]
+    processes: Processes, shipped: rx.Setup, plan: LinePlan, open_page: Open, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """In Chromium, with real nodes: code, slider, line, torque; five wrong codes of another page lock for good."""
     pose = (plan.start_pose + 0.03).round(4).tolist()
@@ -106,7 +105,8 @@ def test_who_has_the_code_moves_the_arm_and_nobody_else(
             assert not panel.lock.opens(panel.lock.code)
             assert f"rx90 view: {panel_module._SHUT}\n" in capfd.readouterr().err
             first.button("Send the line").click()
-            first.wait_until(lambda: _near(shipped, states[-1].position, END), "the end of the line")
+            tip = lambda: tip_place(shipped.robot, states[-1].position)  # noqa: E731
+            first.wait_until(lambda: bool(np.linalg.norm(tip() - END) < 1e-4), "the end of the line")
             first.button("Torque off").click()
             first.wait_until(lambda: "torque off, brakes closed" in first.text().split("deg")[-1], "the answer")
             third = open_page(page.address, SIZE)
@@ -120,10 +120,6 @@ def unlock(shown: BrowserPage, code: str) -> None:
     shown.page.locator(FIELD.format("code")).first.fill(code)
     shown.page.wait_for_timeout(1000)  # of what is changed within 50 ms viser's client sends the last later
     shown.button("Unlock").click()
-
-
-def _near(setup: Setup, position: np.ndarray, place: np.ndarray) -> bool:
-    return bool(np.linalg.norm(tip_place(setup.robot, position) - place) < 1e-4)
 
 
 def _a_slider_moves_its_joint(shown: BrowserPage, panel: ControlPanel, states: list[JointSample]) -> None:
@@ -159,7 +155,7 @@ def _a_stranger_does_not(page: Page, panel: ControlPanel, states: list[JointSamp
 class Bench:
     """A panel without nodes: an arm that stands still, and what is sent to a controller."""
 
-    def __init__(self, setup: Setup, plan: LinePlan, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, setup: rx.Setup, plan: LinePlan, monkeypatch: pytest.MonkeyPatch) -> None:
         self.offered: list[TrajectoryPoints | None] = []
         self.asked: list[Any] = []
         self.hear: Callable[[str, str, bool], None] = lambda *_: None
@@ -181,7 +177,7 @@ class Bench:
 
 
 @pytest.fixture
-def bench(shipped: Setup, plan: LinePlan, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+def bench(shipped: rx.Setup, plan: LinePlan, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     bench = Bench(shipped, plan, monkeypatch)
     with served(bench.page):
         yield bench
@@ -199,7 +195,6 @@ def test_what_no_input_offers_does_nothing(bench: Bench) -> None:
     known.change(slider, 12.3)
     wait_until(lambda: bool(bench.offered), "the value that can be")
     (points,) = bench.offered
-    assert points is not None
     assert np.degrees(points.position[-1][0]) == pytest.approx(12.3)
     assert bench.page.server.request_share_url() is None
     assert bench.page.server._share_tunnel is None
@@ -222,7 +217,7 @@ def test_texts_of_files_and_nodes_are_texts_on_the_page(
     plan: LinePlan, task_file: Path, tmp_path: Path, open_page: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In Chromium: names of joints at sliders, of nodes and robots, what these say of themselves, and lines of logs."""
-    setup = Setup.load(hostile_robot(tmp_path, task_file))
+    setup = rx.Setup.load(hostile_robot(tmp_path, task_file))
     bench = Bench(setup, plan, monkeypatch)
     watch = SimpleNamespace(
         trajectory=None, publishers=1, robot=TEXTS[5], problem="", topic="", look_around=lambda: None, joints=list,
@@ -249,7 +244,7 @@ ZERO = np.zeros(6)
 ARM = np.radians([0.0, 5.0, 10.0, 15.0, 20.0, 25.0])
 
 
-def test_a_jog_is_as_short_as_speed_and_acceleration_allow(shipped: Setup) -> None:
+def test_a_jog_is_as_short_as_speed_and_acceleration_allow(shipped: rx.Setup) -> None:
     """From rest it lasts what a quintic needs, 15/8 d/v or sqrt(10/sqrt(3) d/a), and at most 16 % more."""
     limits = shipped.controller.limits(shipped.robot)
     for joint, way in ((0, 0.01), (1, -1.0), (5, 4.0)):
@@ -261,7 +256,7 @@ def test_a_jog_is_as_short_as_speed_and_acceleration_allow(shipped: Setup) -> No
         np.testing.assert_array_equal(points.position, [target])
 
 
-def test_a_jog_in_mid_motion_is_as_gentle(shipped: Setup) -> None:
+def test_a_jog_in_mid_motion_is_as_gentle(shipped: rx.Setup) -> None:
     """Targets that are dragged to and fro, every 0.2 s, are taken, and accelerate the set-points like one move."""
     limits, gentle = shipped.controller.limits(shipped.robot), Approach()
     generator = TrajectoryGenerator(limits, 1e-3, ZERO)
@@ -281,7 +276,7 @@ def test_a_jog_in_mid_motion_is_as_gentle(shipped: Setup) -> None:
 class Drags:
     """Sliders' targets, and what they send; the clock stands unless it is moved."""
 
-    def __init__(self, setup: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, setup: rx.Setup, monkeypatch: pytest.MonkeyPatch) -> None:
         self.sent: list[TrajectoryPoints] = []
         self.limits = setup.controller.limits(setup.robot)
         self.jogs = Jogs(self.limits, self.sent.append)
@@ -301,7 +296,7 @@ class Drags:
 
 
 @pytest.fixture
-def drags(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> Drags:
+def drags(shipped: rx.Setup, monkeypatch: pytest.MonkeyPatch) -> Drags:
     return Drags(shipped, monkeypatch)
 
 
