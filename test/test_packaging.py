@@ -42,14 +42,18 @@ RESOLVED_ON_NOBLE = """
 """
 
 
-def colcon(*arguments: object, folder: Path) -> str:
+def run(*command: object, folder: Path) -> str:
+    """Run a command in a folder, in an environment that names no Python path and no ROS, and return what it printed."""
+    hidden = ("PYTHONPATH", "PYTHONHOME", "AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "LD_LIBRARY_PATH")
+    environment = {key: value for key, value in os.environ.items() if key not in hidden}
     done = subprocess.run(
-        [script("colcon"), "--log-base", str(folder / "log"), *map(str, arguments)],
+        [str(word) for word in command],
         cwd=folder,
+        env=environment,
         capture_output=True,
-        encoding="utf-8",
+        text=True,
         check=False,
-        timeout=5 * TIMEOUT,  # a build on a machine that is four times slower; more is a hang
+        timeout=5 * TIMEOUT,  # a build or a first compilation on a machine that is four times slower; more is a hang
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
@@ -67,8 +71,8 @@ def sourced(prefix: Path) -> dict[str, str]:
 def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Build the source tree with colcon and return the package's prefix in the install space."""
     folder = tmp_path_factory.mktemp("workspace")
-    colcon(
-        *("build", "--base-paths", ROOT, "--packages-select", PACKAGE),
+    run(
+        *(script("colcon"), "--log-base", folder / "log", "build", "--base-paths", ROOT, "--packages-select", PACKAGE),
         *("--build-base", folder / "build", "--install-base", folder / "install"),
         folder=folder,
     )
@@ -108,7 +112,6 @@ def test_an_installed_jazzy_gets_every_package() -> None:
 def test_the_version_is_the_same_everywhere() -> None:
     version = ElementTree.parse(ROOT / "package.xml").findtext("version")
     newest = re.search(r"^(\d+\.\d+\.\d+)\b", (ROOT / "CHANGELOG.rst").read_text(), re.MULTILINE)
-    assert newest is not None
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert {version, distribution(PACKAGE).version, citation["version"], newest[1]} == {version}
 
@@ -144,23 +147,6 @@ def test_the_install_space_is_whole_and_needs_no_source_tree(
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("*/py.typed"))
 DATA = ("config", "launch", "firmware")
 NOT_SOURCES = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info", "build", "install", "log", "out", "test")
-
-
-def run(*command: object, folder: Path) -> str:
-    """Run a command in a folder, in an environment that names no Python path and no ROS, and return what it printed."""
-    hidden = ("PYTHONPATH", "PYTHONHOME", "AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "LD_LIBRARY_PATH")
-    environment = {key: value for key, value in os.environ.items() if key not in hidden}
-    done = subprocess.run(
-        [str(word) for word in command],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=5 * TIMEOUT,  # a build or a first compilation on a machine that is four times slower; more is a hang
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
 
 
 def pip(*arguments: object, folder: Path) -> None:
