@@ -12,10 +12,10 @@ from itertools import takewhile
 from typing import Any, Final
 
 import numpy as np
+from pinocchio import SE3
 
-from rx90_common.base.arrays import Array
 from rx90_emulator.vplus.task import Task, configuration
-from rx90_emulator.vplus.transformations import X, Y, Z, frame, inverse, placed, six, trans, turned
+from rx90_emulator.vplus.transformations import X, Y, Z, frame, six, trans, turned
 from rx90_emulator.vplus.tree import Tree, entries
 from rx90_emulator.vplus.values import NUMBERS, Cell, Format, Joints, Value, VplusError
 
@@ -112,7 +112,7 @@ def _bit_sum(truths: Iterable[bool]) -> int:
     return sum(1 << bit for bit, truth in enumerate(truths) if truth)
 
 
-def _in_range(task: Task, target: Array | Joints) -> int:
+def _in_range(task: Task, target: SE3 | Joints) -> int:
     """Return 0 for a location that the arm reaches; else bit n for joint n, or bit 14 where no joints would do."""
     try:
         q = task.arm.angles(target) if isinstance(target, Joints) else task.solve(target)
@@ -153,7 +153,7 @@ _VALUES: Final[dict[str, Any]] = {
     ">=  folded folded": operator.ge,
     "NOT  real": operator.not_,
     "COM  integer": lambda number: _signed(~number),
-    ":  place place": operator.matmul,
+    ":  place place": operator.mul,
     "TRUE ON": lambda: True,
     "FALSE OFF": lambda: False,
     "PI": lambda: math.pi,
@@ -186,19 +186,21 @@ _VALUES: Final[dict[str, Any]] = {
     "$ERROR  integer": _error_text,
     "TRANS  real? real? real? real? real? real?": trans,
     "#PPOINT  real? real? real? real? real? real?": lambda *joints: Joints(six(joints)),
-    "INVERSE  place": inverse,
-    "SHIFT  place real? real? real?": lambda place, *by: trans(*by) @ place,
-    "SCALE  place real": lambda place, factor: placed(place[:3, :3], factor * place[:3, 3]),
+    "INVERSE  place": SE3.inverse,
+    "SHIFT  place real? real? real?": lambda place, *by: trans(*by) * place,
+    "SCALE  place real": lambda place, factor: SE3(place.rotation, factor * place.translation),
     "FRAME  place place place place": frame,
     "RX  real": partial(turned, X),
     "RY  real": partial(turned, Y),
     "RZ  real": partial(turned, Z),
-    "DX  place": lambda place: place[0, 3].item(),
-    "DY  place": lambda place: place[1, 3].item(),
-    "DZ  place": lambda place: place[2, 3].item(),
-    "DISTANCE  place place": lambda left, right: math.dist(left[:3, 3], right[:3, 3]),
-    "IDENTICAL  place place": lambda left, right: np.abs(left - right).max() < _SAME,
-    "NULL": lambda: np.eye(4),
+    "DX  place": lambda place: place.translation[0].item(),
+    "DY  place": lambda place: place.translation[1].item(),
+    "DZ  place": lambda place: place.translation[2].item(),
+    "DISTANCE  place place": lambda left, right: math.dist(left.translation, right.translation),
+    "IDENTICAL  place place": lambda left, right: (
+        np.abs(left.homogeneous - right.homogeneous).max() < _SAME
+    ),
+    "NULL": SE3.Identity,
 }
 _STATE: Final[dict[str, Any]] = {
     "RANDOM": lambda task: task.lot.random(),

@@ -9,10 +9,11 @@ from itertools import count, zip_longest
 from typing import Any, Final
 
 import numpy as np
+from pinocchio import SE3
 
 from rx90_common.base.arrays import Array
 from rx90_emulator.vplus.functions import number_of, written
-from rx90_emulator.vplus.motion import Line, Motion, Profile, plan
+from rx90_emulator.vplus.motion import STRAIGHT, Motion, Profile, plan
 from rx90_emulator.vplus.task import Loop, Reaction, Task, Waits
 from rx90_emulator.vplus.transformations import aligned, six_numbers, trans
 from rx90_emulator.vplus.tree import Reference, Tree, entries
@@ -20,7 +21,6 @@ from rx90_emulator.vplus.values import Cell, Joints, Value, VplusError, bounded
 
 _UNITS = {"MMPS": 1.0, "IPS": 25.4}  # mm/s
 _NULL_TIME = 2.0  # s, until errors must be small
-_STRAIGHT = ("MOVES", "MOVEST", "APPROS", "DEPARTS", "ALIGN")
 _HAND = {"O": (3001, -3002), "C": (-3001, 3002), "R": (-3001, -3002)}
 """Signals of the hand: open, closed, relaxed."""
 _BETWEEN = re.compile(r"\s*,\s*|(?<=[\d.])\s+(?=[-+.\d])")
@@ -102,12 +102,12 @@ def _assign(_: Task, value: Value, target: Cell) -> None:
 # Locations.
 
 
-def _set(task: Task, value: Array | Joints, target: Cell) -> None:
+def _set(task: Task, value: SE3 | Joints, target: Cell) -> None:
     """Store a location; a precision point becomes a transformation where the variable is for one."""
     target.store(value if target.name[0] == "#" else _place(task, value))
 
 
-def _place(task: Task, location: Array | Joints) -> Array:
+def _place(task: Task, location: SE3 | Joints) -> SE3:
     return task.tool_at(task.arm.angles(location)) if isinstance(location, Joints) else location
 
 
@@ -120,15 +120,15 @@ def _joints_here(task: Task, *targets: Cell) -> None:
         target.store(value)
 
 
-def _decompose(task: Task, value: Array | Joints, target: Tree) -> None:
+def _decompose(task: Task, value: SE3 | Joints, target: Tree) -> None:
     """Store the six numbers of a location in an array, from an index on."""
     for place, number in enumerate(value if isinstance(value, Joints) else six_numbers(value)):
         task.cell_of(target, place).store(number)
 
 
-def _set_tool(task: Task, tool: Array | None = None) -> Waits:
+def _set_tool(task: Task, tool: SE3 | None = None) -> Waits:
     yield from task.motion_end()
-    task.tool = np.eye(4) if tool is None else tool
+    task.tool = tool or SE3.Identity()
 
 
 def _set_base(task: Task, *place: float | None) -> Waits:
@@ -175,7 +175,7 @@ def _issue(task: Task, end: Array, **instead: float) -> Waits:
     motion.at_start = task.at_start
     task.at_start = []
     while True:
-        _plan(task, motion, chosen)
+        plan(task.arm, motion, chosen, "SCALE.ACCEL" in task.switches)
         if "DRY.RUN" in task.switches:
             return
         task.cell.tolerance = chosen["FINE"] / 100.0
@@ -191,19 +191,6 @@ def _motion(task: Task, end: Array) -> Motion:
     return Motion(task.step.word, where, task.queue.destination, end, task.tool)
 
 
-def _plan(task: Task, motion: Motion, chosen: dict[str, float]) -> None:
-    if motion.kind in _STRAIGHT:
-        postures = [task.arm.posture(q) for q in (motion.start, motion.end)]
-        if postures[0] != postures[1]:
-            raise VplusError(
-                "Straight-line motion can't alter configuration", " to ".join(map(str, postures))
-            )
-        start = task.arm.flange(motion.start) @ motion.tool
-        end = task.arm.flange(motion.end) @ motion.tool
-        motion.line = Line(start, end, motion.tool, postures[0])
-    plan(task.arm, motion, chosen, "SCALE.ACCEL" in task.switches)
-
-
 def _give(task: Task, motion: Motion) -> Waits:
     """Wait until a motion begins, or a stop of the one before drops it."""
     task.queue.give(motion)
@@ -215,18 +202,18 @@ def _end_of_stop(task: Task) -> Waits:
     return task.until(lambda: not task.queue.stopping, "the end of a stop")
 
 
-def _move(task: Task, target: Array | Joints, hand: float | None = None) -> Waits:
+def _move(task: Task, target: SE3 | Joints, hand: float | None = None) -> Waits:
     """Move to a location, along a line or not; MOVET and MOVEST open the hand or close it at the start."""
     if hand is not None:
         _set_hand(task, "O" if hand > 0.0 else "C")
     if isinstance(target, Joints):
         return _issue(task, task.arm.angles(target))
-    return _issue(task, task.solve(target, keep=task.step.word in _STRAIGHT))
+    return _issue(task, task.solve(target, keep=task.step.word in STRAIGHT))
 
 
-def _approach(task: Task, target: Array | Joints, distance: float) -> Waits:
+def _approach(task: Task, target: SE3 | Joints, distance: float) -> Waits:
     """Move to a place so far back along the tool's z at a location."""
-    return _move(task, _place(task, target) @ trans(0.0, 0.0, -distance))
+    return _move(task, _place(task, target) * trans(0.0, 0.0, -distance))
 
 
 def _depart(task: Task, distance: float) -> Waits:

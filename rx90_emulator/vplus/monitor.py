@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-import numpy as np
+from pinocchio import SE3
 
 from rx90_common.base.errors import DivergenceError, Rx90Error, SupervisionError
 from rx90_common.base.quoting import plain
@@ -40,7 +40,7 @@ class Ask(str):
 _DOT = Ask(".")
 Dialogue: TypeAlias = Generator["str | None", str, Any]
 Command: TypeAlias = Callable[["Monitor", str], "Dialogue | None"]
-_PLACES = (np.ndarray, Joints)
+_PLACES = (SE3, Joints)
 _COLUMNS = "X/J1      Y/J2      Z/J3      y/J4      p/J5      r/J6"
 _FILE = re.compile(r"[\w-]+(\.\w+)?", re.ASCII)
 _CALLED = re.compile(r"(?:/C\s*)?(?:\d\s+)?([^,(]+(?:\(.*\))?)\s*(?:,\s*(-?\d+).*)?", re.IGNORECASE)
@@ -78,25 +78,24 @@ class Monitor:
         self.call: tuple[Any, ...] = ()
         self.cycles = 0
         self._send = send
-        self._dialogue = self._commands()
-        self._question: Ask | None = None
         self._reads = False
-        self._answer: str | None = None
         self._typed = ""
         self._before = ""
         self._lines: list[str] = []
         cell.show = lambda text, _, ends: send(f"{text}\r\n" if ends else text)
         cell.ask = self._ask
-        self._go_on(None)
+        self._begin()
 
     @property
     def is_busy(self) -> bool:
         """Return whether a command runs that takes no line."""
         return self._question is None
 
-    @property
-    def _has_unit(self) -> bool:
-        return self.program is not None and bool(self.task.units)
+    def _begin(self) -> None:
+        """Show the dot."""
+        self._dialogue = self._commands()
+        self._question: Ask | None = None
+        self._go_on(None)
 
     def receive(self, data: bytes) -> None:
         """Take bytes from the terminal: make lines of them, and do what they say."""
@@ -124,31 +123,33 @@ class Monitor:
         self._typed = ""
         if self._question != _DOT:
             self._dialogue.close()
-            self._dialogue = self._commands()
             self._send("\r\n")
-            self._go_on(None)
+            self._begin()
 
     def _take_lines(self) -> None:
-        """Take lines for whoever asks; a program with a unit has all of them, between its READs, too."""
-        while self._lines and (self._reads or (not self.is_busy and not self._has_unit)):
-            line = self._lines.pop(0)
-            self._send(f"{line}\r\n")
-            if self._reads:
-                self._reads = False
-                self._answer = line
-            else:
-                self._go_on(line)
+        """Take lines as commands and answers; a program with a unit has all of them, between its READs, too."""
+        while self._lines and not (self.is_busy or self._is_programs):
+            self._go_on(self._line())
+
+    @property
+    def _is_programs(self) -> bool:
+        """Return whether a program has what is typed."""
+        return self.program is not None and (self._reads or bool(self.task.units))
+
+    def _line(self) -> str:
+        line = self._lines.pop(0)
+        self._send(f"{line}\r\n")
+        return line
 
     def _ask(self, question: str) -> str | None:
         """Return the line that a program waits for, None while there is none."""
         self._send(question)
-        answer = self._answer
-        self._answer = None
-        self._reads = answer is None
-        return answer
+        self._reads = not self._lines
+        return None if self._reads else self._line()
 
     def beat(self) -> None:
         """Let a beat pass: of the program, the command under way and the cell."""
+        self._reads = False
         try:
             if self.program is not None:
                 next(self.program)
@@ -182,8 +183,6 @@ class Monitor:
         """End program and motion; PROCEED goes on with the program."""
         self.task.queue.stop()
         self.program = None
-        self._reads = False
-        self._answer = None
 
     def _end(self, message: str) -> None:
         self.program = None
@@ -277,7 +276,7 @@ def _point(monitor: Monitor, text: str) -> Dialogue:
     if equals:
         yield from _do(monitor, f"SET {text}")
     if cell.value is None:
-        cell.store(Joints([0.0] * 6) if name[0] == "#" else np.eye(4))
+        cell.store(Joints([0.0] * 6) if name[0] == "#" else SE3.Identity())
     while True:
         place = monitor.task.taken("location", cell.value)  # type: ignore[arg-type]  # a value is a tree of its own
         yield _COLUMNS
@@ -455,28 +454,19 @@ def _edit(monitor: Monitor, text: str) -> Dialogue:
 
 def _speed(monitor: Monitor, text: str) -> None:
     """Set the monitor speed, also of a program that runs."""
-    (speed,) = parse_line(f"SPEED {text}").arguments
+    speed, *_ = parse_line(f"SPEED {text}").arguments
     monitor.task.queue.monitor = min(monitor.task.taken("percent", speed), 100.0)
 
 
-def _switch(text: str) -> str:
-    """Return the switch that begins as what was typed."""
+def _switch(monitor: Monitor, text: str, word: str) -> Dialogue:
+    """Switch what begins as was typed on or off; without power, program and motion end."""
     known = [name for name in ("POWER", "CP", "DRY.RUN") if text and name.startswith(text.upper())]
-    return [*known, text][0]
-
-
-def _enable(monitor: Monitor, text: str) -> Dialogue:
-    yield from _do(monitor, f"ENABLE {_switch(text)}")
-    yield ""
-
-
-def _disable(monitor: Monitor, text: str) -> Dialogue:
-    """Switch something off; without power, program and motion end."""
-    if _switch(text) == "POWER":
+    name = [*known, text][0]
+    if (word, name) == ("DISABLE", "POWER"):
         monitor.abort()
-        monitor.task.switches.discard("POWER")
-    else:
-        yield from _do(monitor, f"DISABLE {_switch(text)}")
+    yield from _do(monitor, f"{word} {name}")
+    if word == "ENABLE":
+        yield ""
 
 
 COMMANDS: Final[dict[str, str | Command]] = {
@@ -499,8 +489,8 @@ COMMANDS: Final[dict[str, str | Command]] = {
     "STORE": _store,
     "DELETE": _delete,
     "EDIT": _edit,
-    "ENABLE": _enable,
-    "DISABLE": _disable,
+    "ENABLE": partial(_switch, word="ENABLE"),
+    "DISABLE": partial(_switch, word="DISABLE"),
     "CALIBRATE": "BREAK",
     "ZERO": _zero,
     "SPEED": _speed,

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 from typing import Any, Final, TypeAlias
 
 import numpy as np
+from pinocchio import SE3
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.branch import Branch
 from rx90_emulator.vplus import cell as surroundings
-from rx90_emulator.vplus.transformations import inverse
 from rx90_emulator.vplus.tree import Function, Memory, Program, Reference, Step, Tree
 from rx90_emulator.vplus.values import (
     KINDS,
@@ -38,8 +38,8 @@ _DEEPEST = 1000
 _TYPES: Final[dict[str, Any]] = {
     "text": str,
     "name": str,
-    "place": np.ndarray,
-    "location": (np.ndarray, Joints),
+    "place": SE3,
+    "location": (SE3, Joints),
     "plain": (float, str),
     "folded": (float, str),
     "any": object,
@@ -145,8 +145,8 @@ class Task:
         self.at_start: list[Callable[[], None]] = []
         self.wanted: dict[int, bool] = {}
         self.switches = {"POWER", "CP", "ROBOT", "MESSAGES", "SCALE.ACCEL", "UPPER"}
-        self.tool = np.eye(4)
-        self.base = np.eye(4)
+        self.tool = SE3.Identity()
+        self.base = SE3.Identity()
         self.hand_time = 0.05
         self.timers: dict[int, float] = {}
         self.reactions: dict[int, Reaction] = {}
@@ -376,15 +376,15 @@ class Task:
     # Where the tool is.
 
     @property
-    def _stand(self) -> Array:
+    def _stand(self) -> SE3:
         """Return where the robot stands in the world."""
-        return self.base if self.readings.base_moves_robot else inverse(self.base)
+        return self.base if self.readings.base_moves_robot else self.base.inverse()
 
-    def tool_at(self, q: Array) -> Array:
+    def tool_at(self, q: Array) -> SE3:
         """Return where the tool is in the world at joint angles, rad, shape (6,)."""
-        return self._stand @ self.arm.flange(q) @ self.tool
+        return self._stand * self.arm.flange(q) * self.tool
 
-    def solve(self, place: Array, *, keep: bool = False) -> Array:
+    def solve(self, place: SE3, *, keep: bool = False) -> Array:
         """Return the joint angles, rad, shape (6,), at which the tool is at a place in the world.
 
         Args:
@@ -402,7 +402,7 @@ class Task:
             "positive" if parts[0] == parts[1] else "negative",
             "negative" if parts[2] else "positive",
         )
-        flange = inverse(self._stand) @ place @ inverse(self.tool)
+        flange = self._stand.inverse() * place * self.tool.inverse()
         return self.arm.solve_target(flange, posture, self.queue.destination)
 
 
