@@ -6,7 +6,7 @@ import math
 import operator
 import re
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from itertools import takewhile
 from typing import Any, Final
@@ -14,10 +14,10 @@ from typing import Any, Final
 import numpy as np
 from pinocchio import SE3
 
-from rx90_emulator.vplus.task import Task, configuration
+from rx90_emulator.vplus.task import Task
 from rx90_emulator.vplus.transformations import X, Y, Z, frame, six, trans, turned
 from rx90_emulator.vplus.tree import Tree, entries
-from rx90_emulator.vplus.values import NUMBERS, Cell, Format, Joints, Value, VplusError
+from rx90_emulator.vplus.values import NUMBERS, Format, Joints, Value, Variable, VplusError
 
 _LARGEST_WIDTH = 128
 _SAME = 1e-3  # mm, and 1e-3 of a turn's matrix
@@ -27,11 +27,6 @@ _NUMBER = re.compile(
     r"\s*(?:\^B([01]+)|\^O([0-7]+)|\^H([0-9A-F]+)|([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?))"
 )
 _BASES = (2, 8, 16)
-
-
-def _signed(number: int) -> int:
-    """Return the integer of 24 bits with sign that has the lower bits of a number."""
-    return (number + (1 << 23)) % (1 << 24) - (1 << 23)
 
 
 # Strings.
@@ -69,9 +64,8 @@ def _shown(number: Value, style: str) -> str:
         shown = f"{round(number):{width}{_CODES[match[1]]}}"
     else:
         places = int(match[3] or 0)
-        least = 0.5 * 10.0**-places if match[1] == "F" else 0.0
-        seen = number if abs(number) > least else 0.0  # the sign of zero would show
-        shown = f"{seen:{width}.{places}{match[1]}}"
+        seen = round(number, places) if match[1] == "F" else number
+        shown = f"{seen + 0.0:{width}.{places}{match[1]}}"  # without the sign of zero
     return "*" * width if width and len(shown) > width else shown
 
 
@@ -89,7 +83,7 @@ def number_of(text: str) -> float:
         return math.inf
 
 
-def _decoded(source: Cell, delimiters: str, mode: float | None = None) -> str:
+def _decoded(source: Variable, delimiters: str, mode: float | None = None) -> str:
     """Take characters off the front of a string: up to a delimiter, or with mode 1 the leading delimiters."""
     text = source.value
     if not isinstance(text, str):
@@ -123,14 +117,23 @@ def _in_range(task: Task, target: SE3 | Joints) -> int:
 
 def _last(task: Task, array: Tree) -> int:
     """Return the highest index in use of an array, -1 for one without elements."""
-    cells = task.table(array).items()
-    return max((index[-1] for index, cell in cells if index and cell.value is not None), default=-1)
+    variables = task.table(array).items()
+    return max(
+        (index[-1] for index, variable in variables if index and variable.value is not None),
+        default=-1,
+    )
 
 
 def _speed(task: Task, kind: int) -> float:
     """Return a speed, percent: 1 of the monitor, 2 of all motions, 3 of the next one."""
-    upcoming = {} if kind == 2 else task.next
-    return task.queue.monitor if kind == 1 else {**task.always, **upcoming}["SPEED"]
+    if kind == 1:
+        return task.queue.monitor
+    return (task.always if kind == 2 else task.next)["SPEED"]
+
+
+def _of_values(function: Callable[..., Value]) -> Callable[..., Value]:
+    """Return a function that does not need the task as one that gets it."""
+    return lambda _, *values: function(*values)
 
 
 _VALUES: Final[dict[str, Any]] = {
@@ -139,27 +142,27 @@ _VALUES: Final[dict[str, Any]] = {
     "*  real real": operator.mul,
     "/  real real": operator.truediv,
     "MOD  real real": lambda left, right: math.fmod(left, right) if right else left / right,
-    "AND  real real": lambda left, right: bool(left) & bool(right),
-    "OR  real real": lambda left, right: bool(left) | bool(right),
-    "XOR  real real": lambda left, right: bool(left) ^ bool(right),
-    "BAND  integer integer": lambda left, right: _signed(left & right),
-    "BOR  integer integer": lambda left, right: _signed(left | right),
-    "BXOR  integer integer": lambda left, right: _signed(left ^ right),
+    "AND  truth truth": operator.and_,
+    "OR  truth truth": operator.or_,
+    "XOR  truth truth": operator.xor,
+    "BAND  bits bits": operator.and_,
+    "BOR  bits bits": operator.or_,
+    "BXOR  bits bits": operator.xor,
     "==  folded folded": operator.eq,
     "<>  folded folded": operator.ne,
     "<  folded folded": operator.lt,
     "<=  folded folded": operator.le,
     ">  folded folded": operator.gt,
     ">=  folded folded": operator.ge,
-    "NOT  real": operator.not_,
-    "COM  integer": lambda number: _signed(~number),
+    "NOT  truth": operator.not_,
+    "COM  bits": operator.invert,
     ":  place place": operator.mul,
     "TRUE ON": lambda: True,
     "FALSE OFF": lambda: False,
     "PI": lambda: math.pi,
-    "SIN  real": lambda angle: math.sin(math.radians(angle)),
-    "COS  real": lambda angle: math.cos(math.radians(angle)),
-    "TAN  real": lambda angle: math.tan(math.radians(angle)),
+    "SIN  degrees": math.sin,
+    "COS  degrees": math.cos,
+    "TAN  degrees": math.tan,
     "ATAN2  real real": lambda y, x: math.degrees(math.atan2(y, x)),
     "SQR  real": lambda number: number * number,
     "SQRT  real": math.sqrt,
@@ -215,9 +218,9 @@ _STATE: Final[dict[str, Any]] = {
     "$ENCODE  any*": lambda task, *items: written(task, items)[0],
     "INRANGE  location": _in_range,
     "CONFIG  any?": lambda task, _=None: _bit_sum(
-        configuration(task.arm.posture(task.cell.drive.position()))
+        task.arm.configuration(task.cell.drive.position())
     ),
-    "DEFINED  tree": lambda task, variable: task.cell_of(variable).value is not None,
+    "DEFINED  tree": lambda task, variable: task.variable(variable).value is not None,
     "LAST  tree": _last,
     "SIG  integer integer*": lambda task, *signals: all(map(task.cell.is_on, signals)),
     "BITS  integer integer?": lambda task, first, count=1: _bit_sum(
@@ -231,4 +234,5 @@ _STATE: Final[dict[str, Any]] = {
     "ERROR  integer": lambda task, _: task.error,
     "IOSTAT  integer": lambda *_: 1,
 }
-FUNCTIONS = entries(_VALUES, of_task=False) | entries(_STATE, of_task=True)
+_WITHOUT_TASK = {words: _of_values(action) for words, action in _VALUES.items()}
+FUNCTIONS = entries(_WITHOUT_TASK | _STATE)

@@ -10,25 +10,24 @@ import os
 import re
 import select
 import socket
-import time
 import tty
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from pinocchio import SE3
 
-from rx90_common.base.errors import DivergenceError, Rx90Error, SupervisionError
+from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import plain
+from rx90_common.exchange.pacing import Pacer
 from rx90_emulator.vplus.cell import Cell
 from rx90_emulator.vplus.instructions import CONTROL, typed_numbers
-from rx90_emulator.vplus.program import global_cell, load_programs, parse, parse_line, read
+from rx90_emulator.vplus.program import global_variable, load_programs, parse, parse_line, read
 from rx90_emulator.vplus.task import OF_EXECUTE, Frame, Task, Waits
 from rx90_emulator.vplus.transformations import six_numbers, trans
 from rx90_emulator.vplus.tree import Memory, Program
-from rx90_emulator.vplus.values import Cell as Variable
-from rx90_emulator.vplus.values import Joints, LoadError, Value, VplusError
+from rx90_emulator.vplus.values import Joints, LoadError, Variable, VplusError, bounded
 
 
 class Ask(str):
@@ -47,8 +46,8 @@ _CALLED = re.compile(r"(?:/C\s*)?(?:\d\s+)?([^,(]+(?:\(.*\))?)\s*(?:,\s*(-?\d+).
 _LONGEST_LINE = 1000
 _MOST_BYTES = 4096
 """In a beat."""
-_LATEST = 0.3
-"""Time that is made up for, s; a machine that is slower than that is slower than the wall clock."""
+_LOOK = 0.3
+"""Time, s, after which an interrupt is looked for while no client is there."""
 _INTERRUPT = 3
 _ENDS = "\r\n", "\n\r"
 """Of a line, as pairs; half a pair is one, too."""
@@ -65,6 +64,7 @@ class Monitor:
         send: shows text on the terminal.
 
     Attributes:
+        memory: programs and global variables.
         task: what runs programs and single instructions.
         program: the program that runs; None if none does.
         call: its name and arguments, until it is through.
@@ -73,7 +73,8 @@ class Monitor:
 
     def __init__(self, cell: Cell, folder: Path, send: Callable[[str], None]) -> None:
         self.folder = folder
-        self.task = Task(Memory(), cell)
+        self.memory = Memory()
+        self.task = Task(self.memory, cell)
         self.program: Waits | None = None
         self.call: tuple[Any, ...] = ()
         self.cycles = 0
@@ -163,10 +164,10 @@ class Monitor:
         cell = self.task.cell
         try:
             cell.advance()
-        except (SupervisionError, DivergenceError) as error:
+        except VplusError as error:
             cell.queue.drop(cell.drive.rest(cell.time))
             self.task.switches.discard("POWER")
-            self._end(f"*Soft envelope error* {error}")
+            self._end(f"{error.message} {error.detail}")
         except Rx90Error as error:  # of running nodes, which may come back
             self._end(f"*{error}*")
         self._take_lines()
@@ -250,16 +251,12 @@ def _where(monitor: Monitor, _: str) -> Dialogue:
     yield _text(monitor.task.arm.joints(q))
 
 
-def _text(value: Value | None) -> str:
+def _text(value: Any) -> str:
     if isinstance(value, float):
         return repr(value)
     if isinstance(value, str):
         return f'"{value}"'
-    return " ".join(f"{number + 0.0:9.3f}" for number in _numbers(value))
-
-
-def _numbers(value: Any) -> tuple[float, ...]:
-    return value if isinstance(value, Joints) else six_numbers(value)
+    return " ".join(f"{number + 0.0:9.3f}" for number in six_numbers(value))
 
 
 def _here(monitor: Monitor, text: str) -> Dialogue:
@@ -272,13 +269,13 @@ def _here(monitor: Monitor, text: str) -> Dialogue:
 def _point(monitor: Monitor, text: str) -> Dialogue:
     """Show a location, and store what is typed instead, until an empty line."""
     name, equals, _ = text.partition("=")
-    cell = global_cell(monitor.task.memory, parse(name, "place"))
+    variable = global_variable(monitor.memory, parse(name, "place"))
     if equals:
         yield from _do(monitor, f"SET {text}")
-    if cell.value is None:
-        cell.store(Joints([0.0] * 6) if name[0] == "#" else SE3.Identity())
+    if variable.value is None:
+        variable.store(Joints([0.0] * 6) if name[0] == "#" else SE3.Identity())
     while True:
-        place = monitor.task.taken("location", cell.value)  # type: ignore[arg-type]  # a value is a tree of its own
+        place = monitor.task.taken("location", variable.value)  # type: ignore[arg-type]  # a value is a tree of its own
         yield _COLUMNS
         yield _text(place)
         answer = yield Ask("Change? ")
@@ -286,35 +283,32 @@ def _point(monitor: Monitor, text: str) -> Dialogue:
             return
         typed = [*typed_numbers(answer), *[""] * 6]
         try:
-            numbers = [
-                float(new) if new.strip() else old
-                for old, new in zip(_numbers(place), typed, strict=False)
+            numbers: list[Any] = [
+                bounded(float(new)) if new.strip() else old
+                for old, new in zip(six_numbers(place), typed, strict=False)
             ]
         except ValueError:
             raise VplusError("Illegal value", plain(answer)) from None
-        cell.store(Joints(numbers) if name[0] == "#" else trans(*numbers))
+        variable.store(Joints(numbers) if name[0] == "#" else trans(*numbers))
 
 
 def _variables(monitor: Monitor, text: str, kinds: Any) -> list[Variable]:
     """Return variables of some types, of all names or those in a text."""
-    names = text.lower().replace(",", " ").split()
-    cells = [cell for table in monitor.task.memory.variables.values() for cell in table.values()]
-    return [
-        cell
-        for cell in sorted(cells, key=lambda cell: cell.name)
-        if isinstance(cell.value, kinds) and (not names or cell.name.partition("[")[0] in names)
-    ]
+    tables = monitor.memory.variables
+    names = text.lower().replace(",", " ").split() or sorted(tables)
+    variables = [variable for name in names for _, variable in sorted(tables.get(name, {}).items())]
+    return [variable for variable in variables if isinstance(variable.value, kinds)]
 
 
 def _list_places(monitor: Monitor, text: str) -> Dialogue:
     yield f"          {_COLUMNS}"
-    for cell in _variables(monitor, text, _PLACES):
-        yield f"{cell.name:<10} {_text(cell.value)}"
+    for variable in _variables(monitor, text, _PLACES):
+        yield f"{variable.name:<10} {_text(variable.value)}"
 
 
 def _list_values(monitor: Monitor, text: str, kind: type) -> Dialogue:
-    for cell in _variables(monitor, text, kind):
-        yield f"{cell.name} = {_text(cell.value)}"
+    for variable in _variables(monitor, text, kind):
+        yield f"{variable.name} = {_text(variable.value)}"
 
 
 def _listing(program: Program) -> list[str]:
@@ -322,7 +316,7 @@ def _listing(program: Program) -> list[str]:
 
 
 def _programs(monitor: Monitor, text: str) -> list[Program]:
-    names = text.replace(",", " ").split() or monitor.task.memory.programs
+    names = text.replace(",", " ").split() or monitor.memory.programs
     return [monitor.task.program(name) for name in names]
 
 
@@ -406,15 +400,18 @@ def _load(monitor: Monitor, text: str) -> Dialogue:
         yield from (f"*{fault}*" for fault in error.faults)
         return
     yield from (f".PROGRAM {name}" for name in loaded.programs)
-    monitor.task.memory.programs.update(loaded.programs)
-    monitor.task.memory.variables.update(loaded.variables)
+    monitor.memory.programs.update(loaded.programs)
+    monitor.memory.variables.update(loaded.variables)
 
 
 def _store(monitor: Monitor, text: str) -> None:
     name, _, names = text.partition("=")
     lines = [line for program in _programs(monitor, names) for line in _listing(program)]
     for section, kinds in ((".LOCATIONS", _PLACES), (".REALS", float), (".STRINGS", str)):
-        data = [f"{cell.name} {_text(cell.value)}" for cell in _variables(monitor, "", kinds)]
+        data = [
+            f"{variable.name} {_text(variable.value)}"
+            for variable in _variables(monitor, "", kinds)
+        ]
         lines += [section, *data, ".END"]
     file = _file(monitor, name.strip())
     if file.exists():
@@ -426,17 +423,17 @@ def _delete(monitor: Monitor, text: str) -> Dialogue:
     programs = _programs(monitor, text)
     if (yield from _sure()):
         for program in programs:
-            del monitor.task.memory.programs[program.name]
+            del monitor.memory.programs[program.name]
 
 
 def _zero(monitor: Monitor, _: str) -> Dialogue:
     if (yield from _sure()):
-        monitor.task.memory.programs.clear()
-        monitor.task.memory.variables.clear()
+        monitor.memory.programs.clear()
+        monitor.memory.variables.clear()
 
 
 def _edit(monitor: Monitor, text: str) -> Dialogue:
-    programs = monitor.task.memory.programs
+    programs = monitor.memory.programs
     present = programs.get(parse(f".PROGRAM {text}", "header").name)
     lines = [*present.text] if present is not None else []
     while True:
@@ -524,48 +521,45 @@ def serve(
     """
     output = bytearray()
     monitor = Monitor(cell, folder, lambda text: output.extend(text.encode("latin-1", "replace")))
+    rate = _MOST_BYTES if baud is None else cell.period * baud / _BITS
+    for terminal in _terminals(port, announce):
+        output[:] = b"."
+        pacer = Pacer(cell.period, float(waits))
+        room = 0.0  # of bytes each way, with what is left of the beat before
+        while True:
+            pacer.wait()
+            room = room % 1.0 + rate
+            most = int(room)
+            ready, free, _ = select.select([terminal], [terminal] if output else [], [], 0.0)
+            if ready and most:
+                try:
+                    data = os.read(terminal, most)
+                except OSError:
+                    data = b""
+                if not data:
+                    break
+                monitor.receive(data)
+            monitor.beat()
+            if free and most:
+                count = os.write(terminal, output[:most])
+                del output[:count]
+
+
+def _terminals(port: int | None, announce: Callable[[str], None]) -> Iterator[int]:
+    """Yield the file descriptor of the pseudo-terminal, or of each client that comes, until it has gone."""
     if port is None:
         terminal, user = os.openpty()
         tty.setraw(user)
         announce(os.ttyname(user))
-        _exchange(terminal, monitor, output, baud, waits)
-    else:
-        with socket.create_server(("127.0.0.1", port)) as server:
-            announce(f"socket://127.0.0.1:{server.getsockname()[1]}")
-            server.settimeout(_LATEST)  # so that an interrupt ends it
-            while True:
-                try:
-                    client, _ = server.accept()
-                except TimeoutError:
-                    continue
-                with client:
-                    _exchange(client.fileno(), monitor, output, baud, waits)
-
-
-def _exchange(
-    line: int, monitor: Monitor, output: bytearray, baud: int | None, waits: bool
-) -> None:
-    """Exchange bytes with a terminal, and let the time of the cell pass with the wall clock, until it has gone."""
-    period = monitor.task.cell.period
-    output[:] = b"."
-    due = time.monotonic()
-    passed = 0.0  # bytes each way, so far
-    while True:
-        due = max(due + period, time.monotonic() - _LATEST)
-        time.sleep(max(due - time.monotonic(), 0.0) if waits else 0.0)
-        before = int(passed)
-        passed += _MOST_BYTES if baud is None else period * baud / _BITS
-        room = int(passed) - before
-        ready, free, _ = select.select([line], [line] if output else [], [], 0.0)
-        if ready and room:
+        yield terminal
+        return
+    with socket.create_server(("127.0.0.1", port)) as server:
+        announce(f"socket://127.0.0.1:{server.getsockname()[1]}")
+        server.settimeout(_LOOK)
+        while True:
             try:
-                data = os.read(line, room)
-            except OSError:
-                data = b""
-            if not data:
-                return
-            monitor.receive(data)
-        monitor.beat()
-        if free and room:
-            count = os.write(line, output[:room])
-            del output[:count]
+                client, _ = server.accept()
+            except TimeoutError:
+                continue
+            with client:
+                yield client.fileno()

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
 from pinocchio import SE3, AngleAxis
@@ -38,6 +39,15 @@ _OVERSHOOT = 1.5  # of the peak acceleration of a ramp without jumps
 _SHORTEST_WAY = 1e-9  # mm, deg
 STRAIGHT = ("MOVES", "MOVEST", "APPROS", "DEPARTS", "ALIGN")
 """Words of motions along a line."""
+
+
+Configuration: TypeAlias = list[bool]
+"""Whether LEFTY, BELOW and FLIP."""
+CONFIGURATIONS = ("RIGHTY", "ABOVE", "NOFLIP", "LEFTY", "BELOW", "FLIP")
+
+
+def _words(configuration: Configuration) -> str:
+    return " ".join(CONFIGURATIONS[part + 3 * asked] for part, asked in enumerate(configuration))
 
 
 class ProgrammedArm:
@@ -84,17 +94,14 @@ class ProgrammedArm:
         turned = np.ascontiguousarray(chain.tcp_rotation @ tool.rotation)
         return replace(self.robot, chain=chain._replace(tcp_position=tip, tcp_rotation=turned))
 
-    def posture(self, q: Array) -> Branch:
-        """Return the configuration of joint angles; at a border that of RIGHTY, ABOVE and NOFLIP."""
+    def configuration(self, q: Array) -> Configuration:
+        """Return the configuration of joint angles, at a border RIGHTY, ABOVE and NOFLIP."""
         reach = self._solver.forward_reach(self.robot.chain, q[None])[0]
         elbow = self._solver.elbow_angle(q[None])[0]
-        return Branch(
-            "front" if reach > -_SLACK else "back",
-            "positive" if elbow > -_SLACK else "negative",
-            "positive" if q[4] > -_SLACK else "negative",
-        )
+        lefty = bool(reach <= -_SLACK)
+        return [lefty, bool(elbow > -_SLACK) == lefty, bool(q[4] <= -_SLACK)]
 
-    def solve(self, flanges: Pose, posture: Branch, near: Array) -> Array:
+    def solve(self, flanges: Pose, configuration: Configuration, near: Array) -> Array:
         """Return joint angles, rad, shape (n, 6), of n flanges, mm.
 
         Joints turn on from `near`, shape (6,), and from one row to the next.
@@ -103,7 +110,13 @@ class ProgrammedArm:
             VplusError: for a place that is out of reach.
         """
         pose = Pose(flanges.position / _MM + self._world, np.ascontiguousarray(flanges.rotation))
-        rows = self._solver.solve(self.robot.chain, pose, posture)
+        lefty, below, flip = configuration
+        branch = Branch(
+            "back" if lefty else "front",
+            "positive" if below == lefty else "negative",
+            "negative" if flip else "positive",
+        )
+        rows = self._solver.solve(self.robot.chain, pose, branch)
         missed = np.flatnonzero(np.isnan(rows).any(axis=1))
         if len(missed):
             distance = np.linalg.norm(flanges.position[missed[0]]) / _MM
@@ -118,9 +131,10 @@ class ProgrammedArm:
             near = row
         return rows
 
-    def solve_target(self, flange: SE3, posture: Branch, near: Array) -> Array:
+    def solve_target(self, flange: SE3, configuration: Configuration, near: Array) -> Array:
         """Return the joint angles, rad, shape (6,), of a flange, where possible within the joints' ranges."""
-        q = self.solve(Pose(flange.translation[None], flange.rotation[None]), posture, near)[0]
+        pose = Pose(flange.translation[None], flange.rotation[None])
+        q = self.solve(pose, configuration, near)[0]
         for joint in self.outside(q):
             for turn in (-_TURN, _TURN):
                 if self.robot.lower[joint] <= q[joint] + turn <= self.robot.upper[joint]:
@@ -206,7 +220,7 @@ class Line:
         motion: its ends and tool.
 
     Attributes:
-        posture: the configuration, which stays.
+        configuration: it stays.
         start: the tool in the beginning.
         way: from there to the end, shape (3,).
         angle: by which it turns, rad.
@@ -216,12 +230,11 @@ class Line:
     """
 
     def __init__(self, arm: ProgrammedArm, motion: Motion) -> None:
-        self.posture = arm.posture(motion.start)
-        last = arm.posture(motion.end)
-        if last != self.posture:
-            raise VplusError(
-                "Straight-line motion can't alter configuration", f"{self.posture} to {last}"
-            )
+        self.configuration = arm.configuration(motion.start)
+        last = arm.configuration(motion.end)
+        if last != self.configuration:
+            detail = f"{_words(self.configuration)} to {_words(last)}"
+            raise VplusError("Straight-line motion can't alter configuration", detail)
         self.start = arm.flange(motion.start) * motion.tool
         end = arm.flange(motion.end) * motion.tool
         self.way = end.translation - self.start.translation
@@ -308,17 +321,17 @@ def plan(arm: ProgrammedArm, motion: Motion, chosen: Mapping[str, float], scaled
     """
     full = arm.full
     percents = [chosen["SPEED"]]
-    if motion.kind in STRAIGHT:
+    if motion.kind not in STRAIGHT:
+        arm.check_range(motion.end)
+        ways = np.degrees(np.abs(motion.end - motion.start))
+        speeds = full.joint_speed
+        rates = full.joint_acceleration
+    else:
         line = motion.line = Line(arm, motion)
         ways = np.array([np.linalg.norm(line.way), math.degrees(line.angle)])
         speeds = full.linear_speed, full.rotary_speed
         rates = full.linear_acceleration, full.rotary_acceleration
         percents.append(chosen["ROTARY"])
-    else:
-        arm.check_range(motion.end)
-        ways = np.degrees(np.abs(motion.end - motion.start))
-        speeds = full.joint_speed
-        rates = full.joint_acceleration
     if ways.max() <= _SHORTEST_WAY:
         return
     ways = np.maximum(ways, _SHORTEST_WAY) * 100.0
@@ -336,7 +349,7 @@ def _check_line(arm: ProgrammedArm, motion: Motion, line: Line) -> None:
     count = int(np.clip(motion.profile.duration / _GRID, 16, _MOST_PLACES)) + 1
     times = np.linspace(0.0, motion.profile.duration, count)
     tools = line.tools(motion.profile.share(times))
-    angles = arm.solve(line.flanges(tools), line.posture, motion.start)
+    angles = arm.solve(line.flanges(tools), line.configuration, motion.start)
     for row in angles:
         arm.check_range(row)
     speed = np.diff(angles, axis=0, prepend=motion.start[None]) / times[1]
@@ -384,14 +397,15 @@ class MotionQueue:
         """Return whether no motion runs or waits."""
         return not self._running and self.waiting is None
 
-    def give(self, motion: Motion) -> None:
-        """Take a motion; it begins at once if none runs."""
+    def give(self, motion: Motion, settled: bool, time: float) -> None:
+        """Take a motion; it begins at once if none runs, and the arm has settled where it must."""
         self.destination = motion.end
         self.waiting = motion
         before = self._running[-1] if self._running else None
         if before is not None and before.continuous and motion.kind != "DELAY":
             overlap = min(before.profile.ramp_down, motion.profile.ramp_up)
             motion.begin = max(before.over - overlap, self._path_time)
+        self.begin_waiting(settled, time)
 
     def begin_waiting(self, settled: bool, time: float) -> None:
         """Begin the motion that waits, if the one before it is over, and settled where it must be."""
@@ -486,4 +500,4 @@ class MotionQueue:
         return self._solved(line, Pose(position, ending.rotation @ turns))
 
     def _solved(self, line: Line, tools: Pose) -> Array:
-        return self.arm.solve(line.flanges(tools), line.posture, self.position)
+        return self.arm.solve(line.flanges(tools), line.configuration, self.position)

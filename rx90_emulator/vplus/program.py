@@ -30,10 +30,10 @@ from rx90_emulator.vplus.tree import (
     Tree,
 )
 from rx90_emulator.vplus.values import (
-    Cell,
     Format,
     Joints,
     LoadError,
+    Variable,
     VplusError,
     bounded,
     element,
@@ -198,12 +198,12 @@ def parse_line(text: str) -> Step:
         SyntaxError: saying what the line has and where, also if it has no instruction.
     """
     label, step = parse(text, "step")
-    if label >= 0 or step.entry is None:
+    if label >= 0 or not step.word:
         raise SyntaxError("*Missing argument*")
     return step  # type: ignore[no-any-return]  # of the parser
 
 
-def global_cell(memory: Memory, place: Reference) -> Cell:
+def global_variable(memory: Memory, place: Reference) -> Variable:
     """Return a global variable or an element of an array, made on first use; its index is of numbers."""
     index = tuple(int(part) for part in place.index or () if part is not None)  # type: ignore[arg-type]
     return element(memory.variables.setdefault(place.name, {}), place.name, index)
@@ -224,7 +224,7 @@ def load_programs(place: Path | str, readings: Readings | None = None) -> Memory
     warnings: list[str] = []
     for file in _files(Path(place)):
         content = read_bytes(file, _LARGEST_FILE).decode("latin-1")
-        reader = read(StringIO(content, newline=None).read(), memory)
+        reader = read(content, memory)
         faults += [f"{plain(file)}:{line}: {fault}" for line, fault in reader.faults]
         warnings += [f"{plain(file)}:{line}: {warning}" for line, warning in reader.warnings]
     faults += [f"{plain(place)}: {fault}" for fault in _call_faults(memory)]
@@ -246,10 +246,10 @@ def _files(place: Path) -> list[Path]:
 def read(content: str, memory: Memory) -> Reader:
     """Add the programs and data of a file to the memory; return its reader with faults and warnings."""
     reader = Reader(memory)
-    lines = content.replace("\f", "\n").replace("\r", "").replace("\x1a", "").split("\n")
+    lines = StringIO(content.replace("\f", "\n").replace("\x1a", ""), newline=None)
     for reader.line, text in enumerate(lines, 1):
         try:
-            reader.take(text)
+            reader.take(text.rstrip("\n"))
         except (SyntaxError, VplusError, RecursionError) as error:
             reader.note(f"{quoted(text.strip()[:60])}: {error}")
     reader.close(".END")
@@ -307,7 +307,7 @@ class Reader:
             if not self._section:
                 raise SyntaxError("outside of a program; accepted: .PROGRAM name(...)")
             place, value = parse(code, "datum")
-            global_cell(self.memory, place).store(value)
+            global_variable(self.memory, place).store(value)
 
     def close(self, head: str) -> None:
         """End what has no .END of its own, with a fault."""
@@ -332,8 +332,14 @@ class Reader:
             if label > _LARGEST_LABEL or label in program.labels:
                 self.note(f"label {label}; accepted: each once, 0 to {_LARGEST_LABEL}")
             program.labels[label] = place
-        if step.word in _DECLARATIONS:
-            self._declare(program, step)
+        if step.word in _DECLARATIONS and any(
+            earlier.word not in ("", *_DECLARATIONS) for earlier in program.steps
+        ):
+            self.note(f"{step.word} stands behind an executable line")
+        if step.word == "AUTO":
+            program.automatic.update(step.arguments)
+        if step.word == "LOCAL":
+            program.local.update((name, {}) for name in step.arguments)
         if parse(code, "step", not logic_first) != (label, step):
             reading = "read by logic_before_relations (docs/reference/vplus.md)"
             self.warnings.append(
@@ -341,14 +347,6 @@ class Reader:
             )
         step.line = self.line
         program.steps[place] = step
-
-    def _declare(self, program: Program, declaration: Step) -> None:
-        if any(step.word not in ("", *_DECLARATIONS) for step in program.steps):
-            self.note(f"{declaration.word} stands behind an executable line")
-        if declaration.word == "AUTO":
-            program.automatic.update(declaration.arguments)
-        if declaration.word == "LOCAL":
-            program.local.update((name, {}) for name in declaration.arguments)
 
 
 def _opening(code: str) -> str:
@@ -363,7 +361,6 @@ def _resolve(program: Program) -> Iterator[tuple[int, str]]:
     steps = program.steps
     blocks: list[int] = []
     for place, step in enumerate(steps):
-        step.start = place
         step.target = place + 1
         number = step.arguments[-1:]
         if step.word in _INSIDE:
@@ -372,8 +369,7 @@ def _resolve(program: Program) -> Iterator[tuple[int, str]]:
             if not blocks or step.word not in _INSIDE[steps[blocks[-1]].word]:
                 yield step.line, f"{step.word} without its block"
                 continue
-            step.start = blocks[-1]
-            steps[step.start].branches.append(place)
+            steps[blocks[-1]].branches.append(place)
             if step.word in ("END", "UNTIL"):
                 _close(steps, blocks.pop(), place)
         elif step.word in ("EXIT", "NEXT"):

@@ -10,6 +10,7 @@ from pinocchio import SE3, Quaternion
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.rotations import axis_rotation
+from rx90_emulator.vplus.values import Joints
 
 X, Y, Z = np.eye(3)
 _SMALLEST = 1e-9
@@ -37,8 +38,10 @@ def trans(*numbers: float | None) -> SE3:
     return SE3(turn.rotation, np.array(position))
 
 
-def six_numbers(place: SE3) -> tuple[float, ...]:
-    """Return x, y, z, yaw, pitch in 0 to 180, roll."""
+def six_numbers(place: SE3 | Joints) -> tuple[float, ...]:
+    """Return x, y, z, yaw, pitch in 0 to 180, roll; of a precision point its joint values."""
+    if isinstance(place, Joints):
+        return place
     x, y, _ = place.rotation[:, 2]
     yaw = math.degrees(math.atan2(y, x)) if math.hypot(x, y) > _UPRIGHT else 0.0
     level = (turned(Z, -yaw) * place).rotation

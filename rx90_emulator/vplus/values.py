@@ -1,4 +1,4 @@
-"""Values of V+, the cells that hold them, and the errors that stop a program.
+"""Values of V+, the variables that hold them, and the errors that stop a program.
 
 A value is a real (float), a string (str), a transformation (SE3, mm), a precision point (`Joints`, degrees) or
 a format of TYPE. Reals are doubles here; the cabinet's are single. Texts of errors are better known than their numbers:
@@ -124,7 +124,7 @@ def bounded(result: object) -> Value:
 
 
 @dataclass
-class Cell:
+class Variable:
     """A variable or an element of an array; a value of None is an undefined one."""
 
     name: str
@@ -153,12 +153,12 @@ def plain_name(name: str) -> str:
 
 
 Index: TypeAlias = tuple[int, ...]
-Table: TypeAlias = dict[Index, Cell]
+Table: TypeAlias = dict[Index, Variable]
 """An array: its elements by their index; a plain variable has the index ()."""
 Scope: TypeAlias = dict[str, Table]
 
 
-def element(table: Table, name: str, index: Index = ()) -> Cell:
+def element(table: Table, name: str, index: Index = ()) -> Variable:
     """Return an element of an array, made on first use.
 
     Raises:
@@ -167,4 +167,4 @@ def element(table: Table, name: str, index: Index = ()) -> Cell:
     if len(index) > 3 or not all(0 <= number <= _LARGEST_INDEX for number in index):
         raise VplusError("Illegal array index", f"{name}{list(index)}")
     shown = f"{name}[{','.join(map(str, index))}]" if index else name
-    return table.setdefault(index, Cell(shown))
+    return table.setdefault(index, Variable(shown))
