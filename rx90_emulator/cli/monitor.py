@@ -13,6 +13,7 @@ from rx90_emulator.cli.options import (
     setup_of,
     whole_from,
 )
+from rx90_emulator.cli.program import cell_of_nodes
 
 if TYPE_CHECKING:
     from rx90_emulator.vplus.cell import Cell
@@ -66,18 +67,7 @@ def _engine(options: argparse.Namespace) -> None:
 
 def _nodes(options: argparse.Namespace) -> None:
     """Serve the monitor of the arm of rx90_sim and rx90_controller until Ctrl-C."""
-    setup = setup_of(options)
-    from rx90_common.exchange.ros_start import prepare
-
-    prepare()
-    from rx90_common.exchange.client_node import client_node
-    from rx90_controller.node.program_client import ProgramClient
-    from rx90_emulator.vplus.cell import Cell
-
-    with client_node("rx90_monitor", options.timeout, print, options.ros_args) as client:
-        nodes = ProgramClient(client, options.node, setup.robot.joint_names)
-        cell = Cell(setup, nodes)
-        cell.publish = nodes.signals(cell.receive)
+    with cell_of_nodes("rx90_monitor", options) as cell:
         _serve(options, cell, waits=False)
 
 

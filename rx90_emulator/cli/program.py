@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import one_line, plain, quoted
+from rx90_common.base.errors import located
+from rx90_common.base.quoting import aligned, one_line, plain, quoted
 from rx90_emulator.cli.options import (
     POSITIVE,
     add_node_arguments,
@@ -26,7 +28,7 @@ from rx90_emulator.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from rx90_emulator.vplus.cell import Change
+    from rx90_emulator.vplus.cell import Cell, Change
     from rx90_emulator.vplus.run import Options, ProgramRun
     from rx90_emulator.vplus.tree import Memory, Readings
 
@@ -134,24 +136,34 @@ def _engine(options: argparse.Namespace) -> None:
 
 def _nodes(options: argparse.Namespace) -> None:
     """Run a program on rx90_sim and rx90_controller, from where the arm is; rx90 bag record records it."""
-    from rx90_common.exchange.ros_start import prepare
+    from rx90_emulator.vplus.run import run_in
 
     inputs, memory = _prepared(options)
+    chosen = _chosen(options)
+    with cell_of_nodes("rx90_program", options, inputs, chosen.period) as cell:
+        cell.show = _show
+        run = run_in(cell, memory, options.name, options.arguments, chosen)
+    _end(run, options)
+
+
+@contextmanager
+def cell_of_nodes(
+    name: str, options: argparse.Namespace, *inputs_and_period: Any
+) -> Iterator[Cell]:
+    """Give the cell of the arm of running nodes to a client with a name."""
     setup = setup_of(options)
+    from rx90_common.exchange.ros_start import prepare
+
     prepare()
     from rx90_common.exchange.client_node import client_node
     from rx90_controller.node.program_client import ProgramClient
     from rx90_emulator.vplus.cell import Cell
-    from rx90_emulator.vplus.run import run_in
 
-    chosen = _chosen(options)
-    with client_node("rx90_program", options.timeout, print, options.ros_args) as client:
+    with client_node(name, options.timeout, print, options.ros_args) as client:
         nodes = ProgramClient(client, options.node, setup.robot.joint_names)
-        cell = Cell(setup, nodes, inputs, chosen.period)
+        cell = Cell(setup, nodes, *inputs_and_period)
         cell.publish = nodes.signals(cell.receive)
-        cell.show = _show
-        run = run_in(cell, memory, options.name, options.arguments, chosen)
-    _end(run, options)
+        yield cell
 
 
 def _prepared(options: argparse.Namespace) -> tuple[list[Change], Memory]:
@@ -197,12 +209,12 @@ def _end(run: ProgramRun, options: argparse.Namespace) -> None:
     """Show what a run did, write what was asked for, and raise the error that ended it, if one did."""
     from rx90_common.process.files import write_text
     from rx90_emulator.loop.result import write_bag
-    from rx90_emulator.vplus.run import draw, page, table_text
+    from rx90_emulator.vplus.run import draw, page, table
 
     for change in run.cell.changes:
         print(f"{change.time:9.3f} s  signal {change.signal} {'on' if change.on else 'off'}")
     if run.motions:
-        print(table_text(run))
+        print("\n".join(aligned(table(run), right=range(2, 9))))
     print(f"{len(run.motions)} motions, cycle time {run.cell.time:.3f} s")
     if options.output is not None and run.result is not None:
         write_bag(run.result, options.output)
@@ -225,20 +237,15 @@ def _readings(words: list[str]) -> Readings:
     """Return the readings, with those that were given."""
     from rx90_emulator.vplus.tree import Readings
 
-    given = {}
+    readings = Readings()
     for word in words:
         name, _, value = word.partition("=")
-        if name not in Readings.model_fields:
-            raise ConfigError(
-                f"--reading {quoted(word)}; accepted: NAME=VALUE, of {', '.join(Readings.model_fields)}"
-            )
-        try:
-            given[name] = json.loads(value)
-        except ValueError:
-            raise ConfigError(
-                f"--reading {quoted(word)}; accepted: true, false or a number behind the ="
-            ) from None
-    return Readings().replaced(**given)
+        with located(f"--reading {quoted(word)}"):
+            try:
+                readings = readings.replaced(**{name: json.loads(value)})
+            except ValueError:
+                readings = readings.replaced(**{name: value})
+    return readings
 
 
 _VERBS = (

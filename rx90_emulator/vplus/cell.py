@@ -13,7 +13,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import read_yaml
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, DivergenceError, SupervisionError
 from rx90_common.base.quoting import plain, quoted
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
@@ -25,8 +25,9 @@ from rx90_emulator.vplus.values import VplusError
 
 PERIOD = 16e-3
 """Of set-points, s, from one beat to the next."""
+_SIGNALS = range(1, 4001)
 _INPUTS = frozenset(range(1001, 2001))
-_OUTPUTS = frozenset([*range(1, 1001), *range(2001, 4001)])
+_OUTPUTS = frozenset(_SIGNALS) - _INPUTS
 _ACCEPTED_INPUTS = (
     "inputs from 1001 to 2000, and times >= 0 at which each goes on, off and so on, s, increasing"
 )
@@ -131,12 +132,21 @@ class Cell:
         return bool(error.max() <= self.tolerance * self.arm.full.null_tolerance)
 
     def advance(self) -> None:
-        """Let one beat pass."""
+        """Let one beat pass.
+
+        Raises:
+            VplusError: if the arm diverges, or the controller's supervision cuts the power; all motions are dropped.
+            ExchangeError: if nodes are silent.
+        """
         if self.outputs() != self._published:
             self._published = self.outputs()
             self.publish(self._published)
         setpoint = self.queue.advance(self.period, self.time)
-        self.drive.send((self.beats + 1) * self.period, *setpoint)
+        try:
+            self.drive.send((self.beats + 1) * self.period, *setpoint)
+        except (SupervisionError, DivergenceError) as error:
+            self.queue.drop(self.drive.position())
+            raise VplusError("Soft envelope error", f"at {self.time:.3f} s: {error}") from error
         self.beats += 1
         while self._planned and self._planned[0].time <= self.time:
             _, signal, on = self._planned.pop(0)
@@ -157,7 +167,7 @@ class Cell:
         Raises:
             VplusError: if there is no such signal.
         """
-        if abs(signal) not in _INPUTS | _OUTPUTS:
+        if abs(signal) not in _SIGNALS:
             raise VplusError("Illegal digital signal", str(signal))
         return (abs(signal) in self._on) == (signal > 0)
 
@@ -212,7 +222,7 @@ class Engine:
     def _reset(self, time: float, q: Array) -> None:
         self._plant.reset(q)
         self._law.reset(self._plant.motor_states()[0])
-        self._knots = [np.concatenate([[time], q, np.zeros(6)])]
+        self._knots = [(time, q, np.zeros(6))]
 
     def send(self, time: float, position: Array, velocity: Array) -> None:
         """Go to joint angles, rad, with speeds, rad/s, within the next beat.
@@ -222,11 +232,12 @@ class Engine:
             SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
         """
         rates = self._setup.rates
-        self._knots.append(np.concatenate([[time], position, velocity]))
-        ends = np.array(self._knots[-2:])
-        rows = interpolate(ends[:, 0] - ends[0, 0], ends[:, 1:7], ends[:, 7:], None).sample(
-            self._times
-        )
+        begin, start, speed = self._knots[-1]
+        self._knots.append((time, position, velocity))
+        times = np.array([0.0, time - begin])
+        positions = np.array([start, position])
+        velocities = np.array([speed, velocity])
+        rows = interpolate(times, positions, velocities, None).sample(self._times)
         ahead = np.vstack([rows[1:, 1], velocity])
         rows[:, 2] = (ahead - rows[:, 1]) / rates.position_period  # as FollowedPath.leading
         series = empty_series(
@@ -245,8 +256,8 @@ class Engine:
             FastSeries(*map(np.concatenate, zip(*fast, strict=True))) if self._record_fast else None
         )
         series = SlowSeries(*map(np.concatenate, zip(*slow, strict=True)))
-        knots = np.array(self._knots)
-        points = TrajectoryPoints(knots[:, 0], knots[:, 1:7], knots[:, 7:], None)
+        times, positions, velocities = zip(*self._knots, strict=True)
+        points = TrajectoryPoints(np.array(times), np.array(positions), np.array(velocities), None)
         commands = (MotionCommand(0, points),)
         return RunResult(
             self._setup, kept, series, self._law.saturated, commands, self._plant.substeps

@@ -6,18 +6,18 @@ import math
 import operator
 import re
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from itertools import takewhile
 from typing import Any, Final
 
 import numpy as np
+from pinocchio import SE3
 
-from rx90_common.base.arrays import Array
-from rx90_emulator.vplus.task import Task, configuration
-from rx90_emulator.vplus.transformations import X, Y, Z, frame, inverse, placed, six, trans, turned
+from rx90_emulator.vplus.task import Task
+from rx90_emulator.vplus.transformations import X, Y, Z, frame, six, trans, turned
 from rx90_emulator.vplus.tree import Tree, entries
-from rx90_emulator.vplus.values import NUMBERS, Cell, Format, Joints, Value, VplusError
+from rx90_emulator.vplus.values import NUMBERS, Format, Joints, Value, Variable, VplusError
 
 _LARGEST_WIDTH = 128
 _SAME = 1e-3  # mm, and 1e-3 of a turn's matrix
@@ -27,11 +27,6 @@ _NUMBER = re.compile(
     r"\s*(?:\^B([01]+)|\^O([0-7]+)|\^H([0-9A-F]+)|([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?))"
 )
 _BASES = (2, 8, 16)
-
-
-def _signed(number: int) -> int:
-    """Return the integer of 24 bits with sign that has the lower bits of a number."""
-    return (number + (1 << 23)) % (1 << 24) - (1 << 23)
 
 
 # Strings.
@@ -69,9 +64,8 @@ def _shown(number: Value, style: str) -> str:
         shown = f"{round(number):{width}{_CODES[match[1]]}}"
     else:
         places = int(match[3] or 0)
-        least = 0.5 * 10.0**-places if match[1] == "F" else 0.0
-        seen = number if abs(number) > least else 0.0  # the sign of zero would show
-        shown = f"{seen:{width}.{places}{match[1]}}"
+        seen = round(number, places) if match[1] == "F" else number
+        shown = f"{seen + 0.0:{width}.{places}{match[1]}}"  # without the sign of zero
     return "*" * width if width and len(shown) > width else shown
 
 
@@ -89,7 +83,7 @@ def number_of(text: str) -> float:
         return math.inf
 
 
-def _decoded(source: Cell, delimiters: str, mode: float | None = None) -> str:
+def _decoded(source: Variable, delimiters: str, mode: float | None = None) -> str:
     """Take characters off the front of a string: up to a delimiter, or with mode 1 the leading delimiters."""
     text = source.value
     if not isinstance(text, str):
@@ -112,7 +106,7 @@ def _bit_sum(truths: Iterable[bool]) -> int:
     return sum(1 << bit for bit, truth in enumerate(truths) if truth)
 
 
-def _in_range(task: Task, target: Array | Joints) -> int:
+def _in_range(task: Task, target: SE3 | Joints) -> int:
     """Return 0 for a location that the arm reaches; else bit n for joint n, or bit 14 where no joints would do."""
     try:
         q = task.arm.angles(target) if isinstance(target, Joints) else task.solve(target)
@@ -123,14 +117,23 @@ def _in_range(task: Task, target: Array | Joints) -> int:
 
 def _last(task: Task, array: Tree) -> int:
     """Return the highest index in use of an array, -1 for one without elements."""
-    cells = task.table(array).items()
-    return max((index[-1] for index, cell in cells if index and cell.value is not None), default=-1)
+    variables = task.table(array).items()
+    return max(
+        (index[-1] for index, variable in variables if index and variable.value is not None),
+        default=-1,
+    )
 
 
 def _speed(task: Task, kind: int) -> float:
     """Return a speed, percent: 1 of the monitor, 2 of all motions, 3 of the next one."""
-    upcoming = {} if kind == 2 else task.next
-    return task.queue.monitor if kind == 1 else {**task.always, **upcoming}["SPEED"]
+    if kind == 1:
+        return task.queue.monitor
+    return (task.always if kind == 2 else task.next)["SPEED"]
+
+
+def _of_values(function: Callable[..., Value]) -> Callable[..., Value]:
+    """Return a function that does not need the task as one that gets it."""
+    return lambda _, *values: function(*values)
 
 
 _VALUES: Final[dict[str, Any]] = {
@@ -139,27 +142,27 @@ _VALUES: Final[dict[str, Any]] = {
     "*  real real": operator.mul,
     "/  real real": operator.truediv,
     "MOD  real real": lambda left, right: math.fmod(left, right) if right else left / right,
-    "AND  real real": lambda left, right: bool(left) & bool(right),
-    "OR  real real": lambda left, right: bool(left) | bool(right),
-    "XOR  real real": lambda left, right: bool(left) ^ bool(right),
-    "BAND  integer integer": lambda left, right: _signed(left & right),
-    "BOR  integer integer": lambda left, right: _signed(left | right),
-    "BXOR  integer integer": lambda left, right: _signed(left ^ right),
+    "AND  truth truth": operator.and_,
+    "OR  truth truth": operator.or_,
+    "XOR  truth truth": operator.xor,
+    "BAND  bits bits": operator.and_,
+    "BOR  bits bits": operator.or_,
+    "BXOR  bits bits": operator.xor,
     "==  folded folded": operator.eq,
     "<>  folded folded": operator.ne,
     "<  folded folded": operator.lt,
     "<=  folded folded": operator.le,
     ">  folded folded": operator.gt,
     ">=  folded folded": operator.ge,
-    "NOT  real": operator.not_,
-    "COM  integer": lambda number: _signed(~number),
-    ":  place place": operator.matmul,
+    "NOT  truth": operator.not_,
+    "COM  bits": operator.invert,
+    ":  place place": operator.mul,
     "TRUE ON": lambda: True,
     "FALSE OFF": lambda: False,
     "PI": lambda: math.pi,
-    "SIN  real": lambda angle: math.sin(math.radians(angle)),
-    "COS  real": lambda angle: math.cos(math.radians(angle)),
-    "TAN  real": lambda angle: math.tan(math.radians(angle)),
+    "SIN  degrees": math.sin,
+    "COS  degrees": math.cos,
+    "TAN  degrees": math.tan,
     "ATAN2  real real": lambda y, x: math.degrees(math.atan2(y, x)),
     "SQR  real": lambda number: number * number,
     "SQRT  real": math.sqrt,
@@ -186,19 +189,21 @@ _VALUES: Final[dict[str, Any]] = {
     "$ERROR  integer": _error_text,
     "TRANS  real? real? real? real? real? real?": trans,
     "#PPOINT  real? real? real? real? real? real?": lambda *joints: Joints(six(joints)),
-    "INVERSE  place": inverse,
-    "SHIFT  place real? real? real?": lambda place, *by: trans(*by) @ place,
-    "SCALE  place real": lambda place, factor: placed(place[:3, :3], factor * place[:3, 3]),
+    "INVERSE  place": SE3.inverse,
+    "SHIFT  place real? real? real?": lambda place, *by: trans(*by) * place,
+    "SCALE  place real": lambda place, factor: SE3(place.rotation, factor * place.translation),
     "FRAME  place place place place": frame,
     "RX  real": partial(turned, X),
     "RY  real": partial(turned, Y),
     "RZ  real": partial(turned, Z),
-    "DX  place": lambda place: place[0, 3].item(),
-    "DY  place": lambda place: place[1, 3].item(),
-    "DZ  place": lambda place: place[2, 3].item(),
-    "DISTANCE  place place": lambda left, right: math.dist(left[:3, 3], right[:3, 3]),
-    "IDENTICAL  place place": lambda left, right: np.abs(left - right).max() < _SAME,
-    "NULL": lambda: np.eye(4),
+    "DX  place": lambda place: place.translation[0].item(),
+    "DY  place": lambda place: place.translation[1].item(),
+    "DZ  place": lambda place: place.translation[2].item(),
+    "DISTANCE  place place": lambda left, right: math.dist(left.translation, right.translation),
+    "IDENTICAL  place place": lambda left, right: (
+        np.abs(left.homogeneous - right.homogeneous).max() < _SAME
+    ),
+    "NULL": SE3.Identity,
 }
 _STATE: Final[dict[str, Any]] = {
     "RANDOM": lambda task: task.lot.random(),
@@ -213,9 +218,9 @@ _STATE: Final[dict[str, Any]] = {
     "$ENCODE  any*": lambda task, *items: written(task, items)[0],
     "INRANGE  location": _in_range,
     "CONFIG  any?": lambda task, _=None: _bit_sum(
-        configuration(task.arm.posture(task.cell.drive.position()))
+        task.arm.configuration(task.cell.drive.position())
     ),
-    "DEFINED  tree": lambda task, variable: task.cell_of(variable).value is not None,
+    "DEFINED  tree": lambda task, variable: task.variable(variable).value is not None,
     "LAST  tree": _last,
     "SIG  integer integer*": lambda task, *signals: all(map(task.cell.is_on, signals)),
     "BITS  integer integer?": lambda task, first, count=1: _bit_sum(
@@ -229,4 +234,5 @@ _STATE: Final[dict[str, Any]] = {
     "ERROR  integer": lambda task, _: task.error,
     "IOSTAT  integer": lambda *_: 1,
 }
-FUNCTIONS = entries(_VALUES, of_task=False) | entries(_STATE, of_task=True)
+_WITHOUT_TASK = {words: _of_values(action) for words, action in _VALUES.items()}
+FUNCTIONS = entries(_WITHOUT_TASK | _STATE)

@@ -9,24 +9,23 @@ from itertools import count, zip_longest
 from typing import Any, Final
 
 import numpy as np
+from pinocchio import SE3
 
 from rx90_common.base.arrays import Array
 from rx90_emulator.vplus.functions import number_of, written
-from rx90_emulator.vplus.motion import Line, Motion, Profile, plan
-from rx90_emulator.vplus.task import Loop, Reaction, Task, Waits
+from rx90_emulator.vplus.motion import CONFIGURATIONS, STRAIGHT, Motion, Profile, plan
+from rx90_emulator.vplus.task import Reaction, Task, Waits
 from rx90_emulator.vplus.transformations import aligned, six_numbers, trans
 from rx90_emulator.vplus.tree import Reference, Tree, entries
-from rx90_emulator.vplus.values import Cell, Joints, Value, VplusError, bounded
+from rx90_emulator.vplus.values import Joints, Value, Variable, VplusError, bounded
 
 _UNITS = {"MMPS": 1.0, "IPS": 25.4}  # mm/s
 _NULL_TIME = 2.0  # s, until errors must be small
-_STRAIGHT = ("MOVES", "MOVEST", "APPROS", "DEPARTS", "ALIGN")
 _HAND = {"O": (3001, -3002), "C": (-3001, 3002), "R": (-3001, -3002)}
 """Signals of the hand: open, closed, relaxed."""
 _BETWEEN = re.compile(r"\s*,\s*|(?<=[\d.])\s+(?=[-+.\d])")
 _NO_UNITS = {None, 0.0, 1.0}
 """Units that take nothing that is typed: the robot, and its pendant."""
-_CONFIGURATIONS = ("RIGHTY", "LEFTY"), ("ABOVE", "BELOW"), ("NOFLIP", "FLIP")
 _REFUSED = {
     "VPICTURE VLOCATE VFEATURE VSHOW VTRAIN VDISPLAY": "vision is not emulated",
     "ALTER ALTON ALTOFF": "ALTER needs a licensed option",
@@ -47,23 +46,27 @@ def _nothing(*_: object) -> None:
 
 
 def _begin_for(
-    task: Task, variable: Cell, first: float, limit: float, increment: float | None = None
+    task: Task, variable: Variable, first: float, limit: float, increment: float | None = None
 ) -> None:
     if increment == 0.0:
         raise VplusError("Illegal value", "STEP 0")
-    loop = Loop(variable, limit, increment or 1.0)
-    task.frame.loops[task.step.start] = loop
-    task.jump(not loop.begin_turn(first))
+    step = increment or 1.0
+
+    def begin_turn(value: float) -> bool:
+        variable.store(value)
+        return (value - limit) * step <= 0.0
+
+    def begin_next() -> bool:
+        return begin_turn(task.taken("real", variable.value) + step)  # type: ignore[arg-type]  # of this kind
+
+    task.frame.loops[task.step.target] = begin_next
+    task.jump(not begin_turn(first))
 
 
 def _end(task: Task) -> None:
     """Go back to the begin of a loop, or on."""
-    loop = task.frame.loops.get(task.step.start)
-    if loop is None:
-        task.jump()
-        return
-    count = task.taken("real", loop.variable.value)  # type: ignore
-    task.jump(loop.begin_turn(count + loop.increment))
+    begin_next = task.frame.loops.get(task.frame.place)
+    task.jump(begin_next is None or begin_next())
 
 
 def _choose_case(task: Task, value: Value) -> None:
@@ -91,7 +94,7 @@ def _pause(_: Task) -> None:
     raise VplusError("Program paused")
 
 
-def _assign(_: Task, value: Value, target: Cell) -> None:
+def _assign(_: Task, value: Value, target: Variable) -> None:
     if not isinstance(value, float | str):
         raise VplusError(
             "Illegal assignment", f"{target.name} = a location; accepted: SET {target.name} = ..."
@@ -102,33 +105,33 @@ def _assign(_: Task, value: Value, target: Cell) -> None:
 # Locations.
 
 
-def _set(task: Task, value: Array | Joints, target: Cell) -> None:
+def _set(task: Task, value: SE3 | Joints, target: Variable) -> None:
     """Store a location; a precision point becomes a transformation where the variable is for one."""
     target.store(value if target.name[0] == "#" else _place(task, value))
 
 
-def _place(task: Task, location: Array | Joints) -> Array:
+def _place(task: Task, location: SE3 | Joints) -> SE3:
     return task.tool_at(task.arm.angles(location)) if isinstance(location, Joints) else location
 
 
-def _here(task: Task, target: Cell) -> None:
+def _here(task: Task, target: Variable) -> None:
     _set(task, task.arm.joints(task.cell.drive.position()), target)
 
 
-def _joints_here(task: Task, *targets: Cell) -> None:
+def _joints_here(task: Task, *targets: Variable) -> None:
     for target, value in zip(targets, task.arm.joints(task.cell.drive.position()), strict=False):
         target.store(value)
 
 
-def _decompose(task: Task, value: Array | Joints, target: Tree) -> None:
+def _decompose(task: Task, value: SE3 | Joints, target: Tree) -> None:
     """Store the six numbers of a location in an array, from an index on."""
-    for place, number in enumerate(value if isinstance(value, Joints) else six_numbers(value)):
-        task.cell_of(target, place).store(number)
+    for place, number in enumerate(six_numbers(value)):
+        task.variable(target, place).store(number)
 
 
-def _set_tool(task: Task, tool: Array | None = None) -> Waits:
+def _set_tool(task: Task, tool: SE3 | None = None) -> Waits:
     yield from task.motion_end()
-    task.tool = np.eye(4) if tool is None else tool
+    task.tool = tool or SE3.Identity()
 
 
 def _set_base(task: Task, *place: float | None) -> Waits:
@@ -167,15 +170,15 @@ def _break(task: Task) -> Waits:
 
 def _issue(task: Task, end: Array, **instead: float) -> Waits:
     """Plan a motion to joint angles, rad, and wait until it begins."""
-    chosen = {**task.always, **task.next, **instead}
-    task.next = {}
+    chosen = {**task.next, **instead}
+    task.next.clear()
     motion = _motion(task, end)
     motion.continuous = chosen["CP"] != 0.0 and "CP" in task.switches
     motion.nulls = chosen["NULL"] != 0.0
     motion.at_start = task.at_start
     task.at_start = []
     while True:
-        _plan(task, motion, chosen)
+        plan(task.arm, motion, chosen, "SCALE.ACCEL" in task.switches)
         if "DRY.RUN" in task.switches:
             return
         task.cell.tolerance = chosen["FINE"] / 100.0
@@ -191,23 +194,9 @@ def _motion(task: Task, end: Array) -> Motion:
     return Motion(task.step.word, where, task.queue.destination, end, task.tool)
 
 
-def _plan(task: Task, motion: Motion, chosen: dict[str, float]) -> None:
-    if motion.kind in _STRAIGHT:
-        postures = [task.arm.posture(q) for q in (motion.start, motion.end)]
-        if postures[0] != postures[1]:
-            raise VplusError(
-                "Straight-line motion can't alter configuration", " to ".join(map(str, postures))
-            )
-        start = task.arm.flange(motion.start) @ motion.tool
-        end = task.arm.flange(motion.end) @ motion.tool
-        motion.line = Line(start, end, motion.tool, postures[0])
-    plan(task.arm, motion, chosen, "SCALE.ACCEL" in task.switches)
-
-
 def _give(task: Task, motion: Motion) -> Waits:
     """Wait until a motion begins, or a stop of the one before drops it."""
-    task.queue.give(motion)
-    task.queue.begin_waiting(task.cell.settled, task.cell.time)
+    task.queue.give(motion, task.cell.settled, task.cell.time)
     return task.until(lambda: task.queue.waiting is not motion, "the motion before")
 
 
@@ -215,18 +204,18 @@ def _end_of_stop(task: Task) -> Waits:
     return task.until(lambda: not task.queue.stopping, "the end of a stop")
 
 
-def _move(task: Task, target: Array | Joints, hand: float | None = None) -> Waits:
+def _move(task: Task, target: SE3 | Joints, hand: float | None = None) -> Waits:
     """Move to a location, along a line or not; MOVET and MOVEST open the hand or close it at the start."""
     if hand is not None:
         _set_hand(task, "O" if hand > 0.0 else "C")
     if isinstance(target, Joints):
         return _issue(task, task.arm.angles(target))
-    return _issue(task, task.solve(target, keep=task.step.word in _STRAIGHT))
+    return _issue(task, task.solve(target, keep=task.step.word in STRAIGHT))
 
 
-def _approach(task: Task, target: Array | Joints, distance: float) -> Waits:
+def _approach(task: Task, target: SE3 | Joints, distance: float) -> Waits:
     """Move to a place so far back along the tool's z at a location."""
-    return _move(task, _place(task, target) @ trans(0.0, 0.0, -distance))
+    return _move(task, _place(task, target) * trans(0.0, 0.0, -distance))
 
 
 def _depart(task: Task, distance: float) -> Waits:
@@ -241,7 +230,7 @@ def _align(task: Task) -> Waits:
 def _drive(task: Task, joint: int, change: float, percent: float) -> Waits:
     """Move one joint by some degrees, at a percentage of its full speed."""
     if task.readings.drive_obeys_program_speed:
-        percent *= {**task.always, **task.next}["SPEED"] / 100.0
+        percent *= task.next["SPEED"] / 100.0
     return _issue(
         task,
         task.queue.destination + np.radians(change) * (np.arange(1, 7) == joint),
@@ -302,9 +291,8 @@ def _set_profile(task: Task, profile: float | None = None, *ramps: float | None)
 
 def _configure(task: Task) -> None:
     """Ask for a configuration at the next motion that is no line."""
-    for part, words in enumerate(_CONFIGURATIONS):
-        if task.step.word in words:
-            task.wanted[part] = task.step.word == words[1]
+    is_second, part = divmod(CONFIGURATIONS.index(task.step.word), 3)
+    task.wanted[part] = bool(is_second)
 
 
 # Signals and time.
@@ -370,9 +358,8 @@ def _lock(task: Task, priority: float) -> None:
 
 
 def _set_switches(task: Task, *names: str) -> None:
-    task.switches = (
-        task.switches | set(names) if task.step.word == "ENABLE" else task.switches - set(names)
-    )
+    changed = task.switches.union if task.step.word == "ENABLE" else task.switches.difference
+    task.switches = changed(names)
 
 
 def _set_parameter(task: Task, value: Value, name: str) -> None:
@@ -389,7 +376,7 @@ def _show(task: Task, *items: Value) -> None:
     task.cell.show(text, task.cell.time, ends)
 
 
-def _ask(task: Task, question: str, *targets: Cell) -> Waits:
+def _ask(task: Task, question: str, *targets: Variable) -> Waits:
     """Ask for a line, and store its numbers or its text."""
     try:
         answer = task.cell.ask(question)
@@ -412,9 +399,9 @@ def typed_numbers(line: str) -> list[str]:
 
 def _attach(task: Task, unit: Tree = None, *_: object) -> None:
     """Give the program a unit of input and output, a free one where an undefined variable stands for it."""
-    if isinstance(unit, Reference) and task.cell_of(unit).value is None:
+    if isinstance(unit, Reference) and task.variable(unit).value is None:
         free = next(number for number in count(10) if number not in task.units)
-        task.cell_of(unit).store(float(free))
+        task.variable(unit).store(float(free))
     task.units |= {task.taken("real?", unit)} - _NO_UNITS
 
 
@@ -457,7 +444,7 @@ _ACTIONS: Final[dict[str, Any]] = {
     "BASE  real? real? real? real?": _set_base,
     "BREAK": _break,
     "BRAKE": lambda task: task.queue.stop(),
-    "LEFTY RIGHTY ABOVE BELOW FLIP NOFLIP": _configure,
+    " ".join(CONFIGURATIONS): _configure,
     "CPON": partial(_choose, CP=1.0),
     "CPOFF": partial(_choose, CP=0.0),
     "NULL": partial(_choose, NULL=1.0),
@@ -491,7 +478,7 @@ _ACTIONS: Final[dict[str, Any]] = {
     "SELECT=  tree*": _nothing,
     "ATTACH DETACH MULTIPLE SINGLE OVERLAP NOOVERLAP": _nothing,
 }
-CONTROL = entries(_CONTROL, of_task=True)
-INSTRUCTIONS = CONTROL | entries(_ACTIONS, of_task=True)
+CONTROL = entries(_CONTROL)
+INSTRUCTIONS = CONTROL | entries(_ACTIONS)
 REFUSED = {word: reason for words, reason in _REFUSED.items() for word in words.split()}
 """Instructions and functions that are not there, and why."""

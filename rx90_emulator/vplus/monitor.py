@@ -10,25 +10,24 @@ import os
 import re
 import select
 import socket
-import time
 import tty
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-import numpy as np
+from pinocchio import SE3
 
-from rx90_common.base.errors import DivergenceError, Rx90Error, SupervisionError
+from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import plain
+from rx90_common.exchange.pacing import Pacer
 from rx90_emulator.vplus.cell import Cell
 from rx90_emulator.vplus.instructions import CONTROL, typed_numbers
-from rx90_emulator.vplus.program import global_cell, load_programs, parse, parse_line, read
+from rx90_emulator.vplus.program import global_variable, load_programs, parse, parse_line, read
 from rx90_emulator.vplus.task import OF_EXECUTE, Frame, Task, Waits
 from rx90_emulator.vplus.transformations import six_numbers, trans
 from rx90_emulator.vplus.tree import Memory, Program
-from rx90_emulator.vplus.values import Cell as Variable
-from rx90_emulator.vplus.values import Joints, LoadError, Value, VplusError
+from rx90_emulator.vplus.values import Joints, LoadError, Variable, VplusError, bounded
 
 
 class Ask(str):
@@ -40,15 +39,15 @@ class Ask(str):
 _DOT = Ask(".")
 Dialogue: TypeAlias = Generator["str | None", str, Any]
 Command: TypeAlias = Callable[["Monitor", str], "Dialogue | None"]
-_PLACES = (np.ndarray, Joints)
+_PLACES = (SE3, Joints)
 _COLUMNS = "X/J1      Y/J2      Z/J3      y/J4      p/J5      r/J6"
 _FILE = re.compile(r"[\w-]+(\.\w+)?", re.ASCII)
 _CALLED = re.compile(r"(?:/C\s*)?(?:\d\s+)?([^,(]+(?:\(.*\))?)\s*(?:,\s*(-?\d+).*)?", re.IGNORECASE)
 _LONGEST_LINE = 1000
 _MOST_BYTES = 4096
 """In a beat."""
-_LATEST = 0.3
-"""Time that is made up for, s; a machine that is slower than that is slower than the wall clock."""
+_LOOK = 0.3
+"""Time, s, after which an interrupt is looked for while no client is there."""
 _INTERRUPT = 3
 _ENDS = "\r\n", "\n\r"
 """Of a line, as pairs; half a pair is one, too."""
@@ -65,6 +64,7 @@ class Monitor:
         send: shows text on the terminal.
 
     Attributes:
+        memory: programs and global variables.
         task: what runs programs and single instructions.
         program: the program that runs; None if none does.
         call: its name and arguments, until it is through.
@@ -73,30 +73,30 @@ class Monitor:
 
     def __init__(self, cell: Cell, folder: Path, send: Callable[[str], None]) -> None:
         self.folder = folder
-        self.task = Task(Memory(), cell)
+        self.memory = Memory()
+        self.task = Task(self.memory, cell)
         self.program: Waits | None = None
         self.call: tuple[Any, ...] = ()
         self.cycles = 0
         self._send = send
-        self._dialogue = self._commands()
-        self._question: Ask | None = None
         self._reads = False
-        self._answer: str | None = None
         self._typed = ""
         self._before = ""
         self._lines: list[str] = []
         cell.show = lambda text, _, ends: send(f"{text}\r\n" if ends else text)
         cell.ask = self._ask
-        self._go_on(None)
+        self._begin()
 
     @property
     def is_busy(self) -> bool:
         """Return whether a command runs that takes no line."""
         return self._question is None
 
-    @property
-    def _has_unit(self) -> bool:
-        return self.program is not None and bool(self.task.units)
+    def _begin(self) -> None:
+        """Show the dot."""
+        self._dialogue = self._commands()
+        self._question: Ask | None = None
+        self._go_on(None)
 
     def receive(self, data: bytes) -> None:
         """Take bytes from the terminal: make lines of them, and do what they say."""
@@ -124,31 +124,33 @@ class Monitor:
         self._typed = ""
         if self._question != _DOT:
             self._dialogue.close()
-            self._dialogue = self._commands()
             self._send("\r\n")
-            self._go_on(None)
+            self._begin()
 
     def _take_lines(self) -> None:
-        """Take lines for whoever asks; a program with a unit has all of them, between its READs, too."""
-        while self._lines and (self._reads or (not self.is_busy and not self._has_unit)):
-            line = self._lines.pop(0)
-            self._send(f"{line}\r\n")
-            if self._reads:
-                self._reads = False
-                self._answer = line
-            else:
-                self._go_on(line)
+        """Take lines as commands and answers; a program with a unit has all of them, between its READs, too."""
+        while self._lines and not (self.is_busy or self._is_programs):
+            self._go_on(self._line())
+
+    @property
+    def _is_programs(self) -> bool:
+        """Return whether a program has what is typed."""
+        return self.program is not None and (self._reads or bool(self.task.units))
+
+    def _line(self) -> str:
+        line = self._lines.pop(0)
+        self._send(f"{line}\r\n")
+        return line
 
     def _ask(self, question: str) -> str | None:
         """Return the line that a program waits for, None while there is none."""
         self._send(question)
-        answer = self._answer
-        self._answer = None
-        self._reads = answer is None
-        return answer
+        self._reads = not self._lines
+        return None if self._reads else self._line()
 
     def beat(self) -> None:
         """Let a beat pass: of the program, the command under way and the cell."""
+        self._reads = False
         try:
             if self.program is not None:
                 next(self.program)
@@ -162,10 +164,10 @@ class Monitor:
         cell = self.task.cell
         try:
             cell.advance()
-        except (SupervisionError, DivergenceError) as error:
+        except VplusError as error:
             cell.queue.drop(cell.drive.rest(cell.time))
             self.task.switches.discard("POWER")
-            self._end(f"*Soft envelope error* {error}")
+            self._end(f"{error.message} {error.detail}")
         except Rx90Error as error:  # of running nodes, which may come back
             self._end(f"*{error}*")
         self._take_lines()
@@ -182,8 +184,6 @@ class Monitor:
         """End program and motion; PROCEED goes on with the program."""
         self.task.queue.stop()
         self.program = None
-        self._reads = False
-        self._answer = None
 
     def _end(self, message: str) -> None:
         self.program = None
@@ -251,16 +251,12 @@ def _where(monitor: Monitor, _: str) -> Dialogue:
     yield _text(monitor.task.arm.joints(q))
 
 
-def _text(value: Value | None) -> str:
+def _text(value: Any) -> str:
     if isinstance(value, float):
         return repr(value)
     if isinstance(value, str):
         return f'"{value}"'
-    return " ".join(f"{number + 0.0:9.3f}" for number in _numbers(value))
-
-
-def _numbers(value: Any) -> tuple[float, ...]:
-    return value if isinstance(value, Joints) else six_numbers(value)
+    return " ".join(f"{number + 0.0:9.3f}" for number in six_numbers(value))
 
 
 def _here(monitor: Monitor, text: str) -> Dialogue:
@@ -273,13 +269,13 @@ def _here(monitor: Monitor, text: str) -> Dialogue:
 def _point(monitor: Monitor, text: str) -> Dialogue:
     """Show a location, and store what is typed instead, until an empty line."""
     name, equals, _ = text.partition("=")
-    cell = global_cell(monitor.task.memory, parse(name, "place"))
+    variable = global_variable(monitor.memory, parse(name, "place"))
     if equals:
         yield from _do(monitor, f"SET {text}")
-    if cell.value is None:
-        cell.store(Joints([0.0] * 6) if name[0] == "#" else np.eye(4))
+    if variable.value is None:
+        variable.store(Joints([0.0] * 6) if name[0] == "#" else SE3.Identity())
     while True:
-        place = monitor.task.taken("location", cell.value)  # type: ignore[arg-type]  # a value is a tree of its own
+        place = monitor.task.taken("location", variable.value)  # type: ignore[arg-type]  # a value is a tree of its own
         yield _COLUMNS
         yield _text(place)
         answer = yield Ask("Change? ")
@@ -287,35 +283,32 @@ def _point(monitor: Monitor, text: str) -> Dialogue:
             return
         typed = [*typed_numbers(answer), *[""] * 6]
         try:
-            numbers = [
-                float(new) if new.strip() else old
-                for old, new in zip(_numbers(place), typed, strict=False)
+            numbers: list[Any] = [
+                bounded(float(new)) if new.strip() else old
+                for old, new in zip(six_numbers(place), typed, strict=False)
             ]
         except ValueError:
             raise VplusError("Illegal value", plain(answer)) from None
-        cell.store(Joints(numbers) if name[0] == "#" else trans(*numbers))
+        variable.store(Joints(numbers) if name[0] == "#" else trans(*numbers))
 
 
 def _variables(monitor: Monitor, text: str, kinds: Any) -> list[Variable]:
     """Return variables of some types, of all names or those in a text."""
-    names = text.lower().replace(",", " ").split()
-    cells = [cell for table in monitor.task.memory.variables.values() for cell in table.values()]
-    return [
-        cell
-        for cell in sorted(cells, key=lambda cell: cell.name)
-        if isinstance(cell.value, kinds) and (not names or cell.name.partition("[")[0] in names)
-    ]
+    tables = monitor.memory.variables
+    names = text.lower().replace(",", " ").split() or sorted(tables)
+    variables = [variable for name in names for _, variable in sorted(tables.get(name, {}).items())]
+    return [variable for variable in variables if isinstance(variable.value, kinds)]
 
 
 def _list_places(monitor: Monitor, text: str) -> Dialogue:
     yield f"          {_COLUMNS}"
-    for cell in _variables(monitor, text, _PLACES):
-        yield f"{cell.name:<10} {_text(cell.value)}"
+    for variable in _variables(monitor, text, _PLACES):
+        yield f"{variable.name:<10} {_text(variable.value)}"
 
 
 def _list_values(monitor: Monitor, text: str, kind: type) -> Dialogue:
-    for cell in _variables(monitor, text, kind):
-        yield f"{cell.name} = {_text(cell.value)}"
+    for variable in _variables(monitor, text, kind):
+        yield f"{variable.name} = {_text(variable.value)}"
 
 
 def _listing(program: Program) -> list[str]:
@@ -323,7 +316,7 @@ def _listing(program: Program) -> list[str]:
 
 
 def _programs(monitor: Monitor, text: str) -> list[Program]:
-    names = text.replace(",", " ").split() or monitor.task.memory.programs
+    names = text.replace(",", " ").split() or monitor.memory.programs
     return [monitor.task.program(name) for name in names]
 
 
@@ -407,15 +400,18 @@ def _load(monitor: Monitor, text: str) -> Dialogue:
         yield from (f"*{fault}*" for fault in error.faults)
         return
     yield from (f".PROGRAM {name}" for name in loaded.programs)
-    monitor.task.memory.programs.update(loaded.programs)
-    monitor.task.memory.variables.update(loaded.variables)
+    monitor.memory.programs.update(loaded.programs)
+    monitor.memory.variables.update(loaded.variables)
 
 
 def _store(monitor: Monitor, text: str) -> None:
     name, _, names = text.partition("=")
     lines = [line for program in _programs(monitor, names) for line in _listing(program)]
     for section, kinds in ((".LOCATIONS", _PLACES), (".REALS", float), (".STRINGS", str)):
-        data = [f"{cell.name} {_text(cell.value)}" for cell in _variables(monitor, "", kinds)]
+        data = [
+            f"{variable.name} {_text(variable.value)}"
+            for variable in _variables(monitor, "", kinds)
+        ]
         lines += [section, *data, ".END"]
     file = _file(monitor, name.strip())
     if file.exists():
@@ -427,17 +423,17 @@ def _delete(monitor: Monitor, text: str) -> Dialogue:
     programs = _programs(monitor, text)
     if (yield from _sure()):
         for program in programs:
-            del monitor.task.memory.programs[program.name]
+            del monitor.memory.programs[program.name]
 
 
 def _zero(monitor: Monitor, _: str) -> Dialogue:
     if (yield from _sure()):
-        monitor.task.memory.programs.clear()
-        monitor.task.memory.variables.clear()
+        monitor.memory.programs.clear()
+        monitor.memory.variables.clear()
 
 
 def _edit(monitor: Monitor, text: str) -> Dialogue:
-    programs = monitor.task.memory.programs
+    programs = monitor.memory.programs
     present = programs.get(parse(f".PROGRAM {text}", "header").name)
     lines = [*present.text] if present is not None else []
     while True:
@@ -455,28 +451,19 @@ def _edit(monitor: Monitor, text: str) -> Dialogue:
 
 def _speed(monitor: Monitor, text: str) -> None:
     """Set the monitor speed, also of a program that runs."""
-    (speed,) = parse_line(f"SPEED {text}").arguments
+    speed, *_ = parse_line(f"SPEED {text}").arguments
     monitor.task.queue.monitor = min(monitor.task.taken("percent", speed), 100.0)
 
 
-def _switch(text: str) -> str:
-    """Return the switch that begins as what was typed."""
+def _switch(monitor: Monitor, text: str, word: str) -> Dialogue:
+    """Switch what begins as was typed on or off; without power, program and motion end."""
     known = [name for name in ("POWER", "CP", "DRY.RUN") if text and name.startswith(text.upper())]
-    return [*known, text][0]
-
-
-def _enable(monitor: Monitor, text: str) -> Dialogue:
-    yield from _do(monitor, f"ENABLE {_switch(text)}")
-    yield ""
-
-
-def _disable(monitor: Monitor, text: str) -> Dialogue:
-    """Switch something off; without power, program and motion end."""
-    if _switch(text) == "POWER":
+    name = [*known, text][0]
+    if (word, name) == ("DISABLE", "POWER"):
         monitor.abort()
-        monitor.task.switches.discard("POWER")
-    else:
-        yield from _do(monitor, f"DISABLE {_switch(text)}")
+    yield from _do(monitor, f"{word} {name}")
+    if word == "ENABLE":
+        yield ""
 
 
 COMMANDS: Final[dict[str, str | Command]] = {
@@ -499,8 +486,8 @@ COMMANDS: Final[dict[str, str | Command]] = {
     "STORE": _store,
     "DELETE": _delete,
     "EDIT": _edit,
-    "ENABLE": _enable,
-    "DISABLE": _disable,
+    "ENABLE": partial(_switch, word="ENABLE"),
+    "DISABLE": partial(_switch, word="DISABLE"),
     "CALIBRATE": "BREAK",
     "ZERO": _zero,
     "SPEED": _speed,
@@ -534,48 +521,45 @@ def serve(
     """
     output = bytearray()
     monitor = Monitor(cell, folder, lambda text: output.extend(text.encode("latin-1", "replace")))
+    rate = _MOST_BYTES if baud is None else cell.period * baud / _BITS
+    for terminal in _terminals(port, announce):
+        output[:] = b"."
+        pacer = Pacer(cell.period, float(waits))
+        room = 0.0  # of bytes each way, with what is left of the beat before
+        while True:
+            pacer.wait()
+            room = room % 1.0 + rate
+            most = int(room)
+            ready, free, _ = select.select([terminal], [terminal] if output else [], [], 0.0)
+            if ready and most:
+                try:
+                    data = os.read(terminal, most)
+                except OSError:
+                    data = b""
+                if not data:
+                    break
+                monitor.receive(data)
+            monitor.beat()
+            if free and most:
+                count = os.write(terminal, output[:most])
+                del output[:count]
+
+
+def _terminals(port: int | None, announce: Callable[[str], None]) -> Iterator[int]:
+    """Yield the file descriptor of the pseudo-terminal, or of each client that comes, until it has gone."""
     if port is None:
         terminal, user = os.openpty()
         tty.setraw(user)
         announce(os.ttyname(user))
-        _exchange(terminal, monitor, output, baud, waits)
-    else:
-        with socket.create_server(("127.0.0.1", port)) as server:
-            announce(f"socket://127.0.0.1:{server.getsockname()[1]}")
-            server.settimeout(_LATEST)  # so that an interrupt ends it
-            while True:
-                try:
-                    client, _ = server.accept()
-                except TimeoutError:
-                    continue
-                with client:
-                    _exchange(client.fileno(), monitor, output, baud, waits)
-
-
-def _exchange(
-    line: int, monitor: Monitor, output: bytearray, baud: int | None, waits: bool
-) -> None:
-    """Exchange bytes with a terminal, and let the time of the cell pass with the wall clock, until it has gone."""
-    period = monitor.task.cell.period
-    output[:] = b"."
-    due = time.monotonic()
-    passed = 0.0  # bytes each way, so far
-    while True:
-        due = max(due + period, time.monotonic() - _LATEST)
-        time.sleep(max(due - time.monotonic(), 0.0) if waits else 0.0)
-        before = int(passed)
-        passed += _MOST_BYTES if baud is None else period * baud / _BITS
-        room = int(passed) - before
-        ready, free, _ = select.select([line], [line] if output else [], [], 0.0)
-        if ready and room:
+        yield terminal
+        return
+    with socket.create_server(("127.0.0.1", port)) as server:
+        announce(f"socket://127.0.0.1:{server.getsockname()[1]}")
+        server.settimeout(_LOOK)
+        while True:
             try:
-                data = os.read(line, room)
-            except OSError:
-                data = b""
-            if not data:
-                return
-            monitor.receive(data)
-        monitor.beat()
-        if free and room:
-            count = os.write(line, output[:room])
-            del output[:count]
+                client, _ = server.accept()
+            except TimeoutError:
+                continue
+            with client:
+                yield client.fileno()

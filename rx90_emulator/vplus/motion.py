@@ -11,8 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
+from pinocchio import SE3, AngleAxis
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
@@ -22,7 +24,6 @@ from rx90_common.description.kinematics import Pose, forward
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.rotations import axis_rotation
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.vplus.transformations import inverse, placed
 from rx90_emulator.vplus.values import Joints, VplusError
 
 _MM = 1e3
@@ -35,7 +36,18 @@ _GRID = 8e-3  # s, between places on a line that are checked beforehand
 _MOST_PLACES = 4000
 _RATE_TIME = 0.3  # s in which the monitor speed goes from 0 to 100 %
 _OVERSHOOT = 1.5  # of the peak acceleration of a ramp without jumps
-_SHORTEST_WAY = 1e-9
+_SHORTEST_WAY = 1e-9  # mm, deg
+STRAIGHT = ("MOVES", "MOVEST", "APPROS", "DEPARTS", "ALIGN")
+"""Words of motions along a line."""
+
+
+Configuration: TypeAlias = list[bool]
+"""Whether LEFTY, BELOW and FLIP."""
+CONFIGURATIONS = ("RIGHTY", "ABOVE", "NOFLIP", "LEFTY", "BELOW", "FLIP")
+
+
+def _words(configuration: Configuration) -> str:
+    return " ".join(CONFIGURATIONS[part + 3 * asked] for part, asked in enumerate(configuration))
 
 
 class ProgrammedArm:
@@ -70,46 +82,46 @@ class ProgrammedArm:
         """Return joint angles, rad, shape (6,), of joint values."""
         return np.radians(np.subtract(joints, self.full.zero))
 
-    def flange(self, q: Array) -> Array:
+    def flange(self, q: Array) -> SE3:
         """Return the transformation of the flange in the robot's own world."""
         pose = forward(self.robot.chain, q)
-        return placed(pose.rotation, _MM * (pose.position - self._world))
+        return SE3(pose.rotation, _MM * (pose.position - self._world))
 
-    def with_tool(self, tool: Array) -> RobotModel:
+    def with_tool(self, tool: SE3) -> RobotModel:
         """Return the arm up to the tip of a tool, a transformation from the flange, mm."""
         chain = self.robot.chain
-        tip = chain.tcp_position + chain.tcp_rotation @ tool[:3, 3] / _MM
-        turned = np.ascontiguousarray(chain.tcp_rotation @ tool[:3, :3])
+        tip = chain.tcp_position + chain.tcp_rotation @ tool.translation / _MM
+        turned = np.ascontiguousarray(chain.tcp_rotation @ tool.rotation)
         return replace(self.robot, chain=chain._replace(tcp_position=tip, tcp_rotation=turned))
 
-    def posture(self, q: Array) -> Branch:
-        """Return the configuration of joint angles; at a border that of RIGHTY, ABOVE and NOFLIP."""
+    def configuration(self, q: Array) -> Configuration:
+        """Return the configuration of joint angles, at a border RIGHTY, ABOVE and NOFLIP."""
         reach = self._solver.forward_reach(self.robot.chain, q[None])[0]
         elbow = self._solver.elbow_angle(q[None])[0]
-        return Branch(
-            "front" if reach > -_SLACK else "back",
-            "positive" if elbow > -_SLACK else "negative",
-            "positive" if q[4] > -_SLACK else "negative",
-        )
+        lefty = bool(reach <= -_SLACK)
+        return [lefty, bool(elbow > -_SLACK) == lefty, bool(q[4] <= -_SLACK)]
 
-    def solve(self, flanges: Array, posture: Branch, near: Array) -> Array:
-        """Return joint angles, rad, shape (n, 6), of flanges, shape (n, 4, 4).
+    def solve(self, flanges: Pose, configuration: Configuration, near: Array) -> Array:
+        """Return joint angles, rad, shape (n, 6), of n flanges, mm.
 
         Joints turn on from `near`, shape (6,), and from one row to the next.
 
         Raises:
             VplusError: for a place that is out of reach.
         """
-        pose = Pose(flanges[:, :3, 3] / _MM + self._world, np.ascontiguousarray(flanges[:, :3, :3]))
-        rows = self._solver.solve(self.robot.chain, pose, posture)
+        pose = Pose(flanges.position / _MM + self._world, np.ascontiguousarray(flanges.rotation))
+        lefty, below, flip = configuration
+        branch = Branch(
+            "back" if lefty else "front",
+            "positive" if below == lefty else "negative",
+            "negative" if flip else "positive",
+        )
+        rows = self._solver.solve(self.robot.chain, pose, branch)
         missed = np.flatnonzero(np.isnan(rows).any(axis=1))
         if len(missed):
-            distance = np.linalg.norm(flanges[missed[0], :3, 3]) / _MM
-            text = (
-                "Location too close"
-                if distance < self._solver.reach / 2.0
-                else "Location out of range"
-            )
+            distance = np.linalg.norm(flanges.position[missed[0]]) / _MM
+            is_close = distance < self._solver.reach / 2.0
+            text = "Location too close" if is_close else "Location out of range"
             raise VplusError(text, f"{distance:.3f} m from the shoulder")
         for row in rows:
             if abs(np.sin(row[4])) < _SINGULAR and abs(row[4]) < 1.0:
@@ -119,9 +131,10 @@ class ProgrammedArm:
             near = row
         return rows
 
-    def solve_target(self, flange: Array, posture: Branch, near: Array) -> Array:
+    def solve_target(self, flange: SE3, configuration: Configuration, near: Array) -> Array:
         """Return the joint angles, rad, shape (6,), of a flange, where possible within the joints' ranges."""
-        q = self.solve(flange[None], posture, near)[0]
+        pose = Pose(flange.translation[None], flange.rotation[None])
+        q = self.solve(pose, configuration, near)[0]
         for joint in self.outside(q):
             for turn in (-_TURN, _TURN):
                 if self.robot.lower[joint] <= q[joint] + turn <= self.robot.upper[joint]:
@@ -189,42 +202,58 @@ class Profile:
         """Return the share that is done at times from the start, s, shape (n,)."""
         if self.duration == 0.0:
             return np.ones(len(times))
-        late = times > self.duration - self.ramp_down
-        t = np.clip(np.where(late, self.duration - times, times), 0.0, self.duration)
-        ramp = np.where(late, self.ramp_down, self.ramp_up)
-        u = np.minimum(t / ramp, 1.0)
-        ramped = u**3 - u**4 / 2.0 if self.smooth else u * u / 2.0
-        share = self.peak * (ramp * ramped + np.maximum(t - ramp, 0.0))
-        return np.asarray(np.where(late, 1.0 - share, share))
+        ramped_down = self._ramped(times - self.duration + self.ramp_down, self.ramp_down)
+        return self.peak * (self._ramped(times, self.ramp_up) - ramped_down)
+
+    def _ramped(self, times: Array, ramp: float) -> Array:
+        """Return the way, s, of a rate that goes from 0 to 1 in a ramp, s, and stays there."""
+        u = np.clip(times / ramp, 0.0, 1.0)
+        way = u**3 - u**4 / 2.0 if self.smooth else u * u / 2.0
+        return ramp * way + np.maximum(times - ramp, 0.0)
 
 
 class Line:
-    """A straight way of the tool; it turns about one axis, in step.
+    """A straight way of the tool in the robot's world, mm; it turns about one axis, in step.
 
     Args:
-        start: the tool in the robot's world, mm.
-        end: likewise.
-        tool: from the flange.
-        posture: the configuration, which stays.
+        arm: what moves.
+        motion: its ends and tool.
+
+    Attributes:
+        configuration: it stays.
+        start: the tool in the beginning.
+        way: from there to the end, shape (3,).
+        angle: by which it turns, rad.
+
+    Raises:
+        VplusError: for ends in different configurations.
     """
 
-    def __init__(self, start: Array, end: Array, tool: Array, posture: Branch) -> None:
-        from scipy.spatial.transform import Rotation  # takes a while
+    def __init__(self, arm: ProgrammedArm, motion: Motion) -> None:
+        self.configuration = arm.configuration(motion.start)
+        last = arm.configuration(motion.end)
+        if last != self.configuration:
+            detail = f"{_words(self.configuration)} to {_words(last)}"
+            raise VplusError("Straight-line motion can't alter configuration", detail)
+        self.start = arm.flange(motion.start) * motion.tool
+        end = arm.flange(motion.end) * motion.tool
+        self.way = end.translation - self.start.translation
+        turn = AngleAxis(self.start.rotation.T @ end.rotation)
+        self.angle = float(turn.angle)
+        self._axis = np.array(turn.axis)
+        self._flange = motion.tool.inverse()
 
-        self.start = start
-        self.to_flange = inverse(tool)
-        self.posture = posture
-        self.way = end[:3, 3] - start[:3, 3]
-        turn = Rotation.from_matrix(start[:3, :3].T @ end[:3, :3]).as_rotvec()
-        self.angle = float(np.linalg.norm(turn))
-        self._axis = turn / (self.angle or 1.0)
+    def tools(self, share: Array) -> Pose:
+        """Return n tools at shares of the way, shape (n,)."""
+        turns = axis_rotation(self._axis, share * self.angle)
+        return Pose(self.start.translation + share[:, None] * self.way, self.start.rotation @ turns)
 
-    def tools(self, share: Array) -> Array:
-        """Return the tool at shares of the way, shape (n, 4, 4)."""
-        tools = np.repeat(self.start[None], len(share), axis=0)
-        tools[:, :3, :3] = self.start[:3, :3] @ axis_rotation(self._axis, share * self.angle)
-        tools[:, :3, 3] += share[:, None] * self.way
-        return tools
+    def flanges(self, tools: Pose) -> Pose:
+        """Return the flanges of tools."""
+        return Pose(
+            tools.position + tools.rotation @ self._flange.translation,
+            tools.rotation @ self._flange.rotation,
+        )
 
 
 @dataclass(eq=False)
@@ -254,7 +283,7 @@ class Motion:
     where: str
     start: Array
     end: Array
-    tool: Array
+    tool: SE3
     profile: Profile = Profile()
     line: Line | None = None
     continuous: bool = True
@@ -283,7 +312,7 @@ def plan(arm: ProgrammedArm, motion: Motion, chosen: Mapping[str, float], scaled
 
     Args:
         arm: what moves.
-        motion: its way is known.
+        motion: its kind, ends and tool are known.
         chosen: speeds and accelerations, percent, and DURATION, s.
         scaled: whether the program speed scales accelerations, too.
 
@@ -291,48 +320,45 @@ def plan(arm: ProgrammedArm, motion: Motion, chosen: Mapping[str, float], scaled
         VplusError: where the arm cannot go.
     """
     full = arm.full
-    line = motion.line
-    if line is None:
+    percents = [chosen["SPEED"]]
+    if motion.kind not in STRAIGHT:
         arm.check_range(motion.end)
-        turns = np.degrees(np.abs(motion.end - motion.start)).tolist()
-        percents = [chosen["SPEED"]] * len(turns)
-        ways = [*zip(turns, full.joint_speed, full.joint_acceleration, percents, strict=True)]
+        ways = np.degrees(np.abs(motion.end - motion.start))
+        speeds = full.joint_speed
+        rates = full.joint_acceleration
     else:
-        length = float(np.linalg.norm(line.way))
-        angle = math.degrees(line.angle)
-        ways = [(length, full.linear_speed, full.linear_acceleration, chosen["SPEED"])]
-        ways += [(angle, full.rotary_speed, full.rotary_acceleration, chosen["ROTARY"])]
-    ways = [row for row in ways if row[0] > _SHORTEST_WAY]
-    if not ways:
+        line = motion.line = Line(arm, motion)
+        ways = np.array([np.linalg.norm(line.way), math.degrees(line.angle)])
+        speeds = full.linear_speed, full.rotary_speed
+        rates = full.linear_acceleration, full.rotary_acceleration
+        percents.append(chosen["ROTARY"])
+    if ways.max() <= _SHORTEST_WAY:
         return
-    fastest = min(speed * percent / way for way, speed, _, percent in ways) / 100.0
-    steepest = (
-        min(rate * (percent if scaled else 100.0) / way for way, _, rate, percent in ways)
-        / 10_000.0
-    )
+    ways = np.maximum(ways, _SHORTEST_WAY) * 100.0
+    fastest = float((np.multiply(speeds, percents) / ways).min())
+    steepest = (np.multiply(rates, percents if scaled else 100.0) / ways).min() / 100.0
     up = steepest * chosen["UP"]
     down = steepest * chosen["DOWN"]
     motion.profile = Profile.fastest(fastest, up, down, chosen["SMOOTH"] != 0.0, chosen["DURATION"])
-    if line is not None:
-        _check_line(arm, motion, line)
+    if motion.line is not None:
+        _check_line(arm, motion, motion.line)
 
 
 def _check_line(arm: ProgrammedArm, motion: Motion, line: Line) -> None:
     """Check a line before it runs, with longer ramps where joints could not accelerate as it asks."""
     count = int(np.clip(motion.profile.duration / _GRID, 16, _MOST_PLACES)) + 1
     times = np.linspace(0.0, motion.profile.duration, count)
-    angles = arm.solve(
-        line.tools(motion.profile.share(times)) @ line.to_flange, line.posture, motion.start
-    )
+    tools = line.tools(motion.profile.share(times))
+    angles = arm.solve(line.flanges(tools), line.configuration, motion.start)
     for row in angles:
         arm.check_range(row)
     speed = np.diff(angles, axis=0, prepend=motion.start[None]) / times[1]
-    excess = np.abs(speed) / arm.robot.max_velocity
-    if excess.max() > 1.0:
-        joint = int(np.argmax(excess.max(axis=0)))
-        fastest = math.degrees(np.abs(speed[:, joint]).max())
-        limit = math.degrees(arm.robot.max_velocity[joint])
-        detail = f"the line asks for {fastest:.0f} deg/s; accepted: up to {limit:.0f}"
+    fastest = np.abs(speed).max(axis=0)
+    limits = arm.robot.max_velocity
+    joint = int(np.argmax(fastest / limits))
+    if fastest[joint] > limits[joint]:
+        asked, accepted = np.degrees([fastest[joint], limits[joint]])
+        detail = f"the line asks for {asked:.0f} deg/s; accepted: up to {accepted:.0f}"
         raise VplusError(f"Soft envelope error* Mtr {joint + 1}", detail)
     acceleration = np.diff(speed[1:], axis=0) / times[1]
     needed = float((np.abs(acceleration) / arm.max_acceleration).max())
@@ -371,14 +397,15 @@ class MotionQueue:
         """Return whether no motion runs or waits."""
         return not self._running and self.waiting is None
 
-    def give(self, motion: Motion) -> None:
-        """Take a motion; it begins at once if none runs."""
+    def give(self, motion: Motion, settled: bool, time: float) -> None:
+        """Take a motion; it begins at once if none runs, and the arm has settled where it must."""
         self.destination = motion.end
         self.waiting = motion
         before = self._running[-1] if self._running else None
         if before is not None and before.continuous and motion.kind != "DELAY":
             overlap = min(before.profile.ramp_down, motion.profile.ramp_up)
             motion.begin = max(before.over - overlap, self._path_time)
+        self.begin_waiting(settled, time)
 
     def begin_waiting(self, settled: bool, time: float) -> None:
         """Begin the motion that waits, if the one before it is over, and settled where it must be."""
@@ -465,12 +492,12 @@ class MotionQueue:
                 angles += self._solved(motion.line, motion.line.tools(share)) - motion.start
         return angles
 
-    def _corner(self, ending: Array, line: Line, share: Array) -> Array:
+    def _corner(self, ending: Pose, line: Line, share: Array) -> Array:
         """Return joint angles where a line adds up with the end of another."""
         tools = line.tools(share)
-        tools[:, :3, 3] += ending[:, :3, 3] - line.start[:3, 3]
-        tools[:, :3, :3] = ending[:, :3, :3] @ (line.start[:3, :3].T @ tools[:, :3, :3])
-        return self._solved(line, tools)
+        position = tools.position + ending.position - line.start.translation
+        turns = line.start.rotation.T @ tools.rotation
+        return self._solved(line, Pose(position, ending.rotation @ turns))
 
-    def _solved(self, line: Line, tools: Array) -> Array:
-        return self.arm.solve(tools @ line.to_flange, line.posture, self.position)
+    def _solved(self, line: Line, tools: Pose) -> Array:
+        return self.arm.solve(line.flanges(tools), line.configuration, self.position)

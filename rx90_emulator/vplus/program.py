@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cache
 from io import StringIO
+from operator import neg
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +30,10 @@ from rx90_emulator.vplus.tree import (
     Tree,
 )
 from rx90_emulator.vplus.values import (
-    Cell,
     Format,
     Joints,
     LoadError,
+    Variable,
     VplusError,
     bounded,
     element,
@@ -60,25 +61,26 @@ _INSIDE = {
 # Lines.
 
 
-def _entry(table: dict[str, Entry], word: str, given: int, unknown: str) -> Entry:
+def _checked(
+    table: dict[str, Entry], word: str, arguments: tuple[Tree, ...], unknown: str
+) -> tuple[str, Entry, tuple[Tree, ...]]:
+    """Return word, entry and arguments of an instruction or a function, if a table has it with so many."""
+    word = word.upper()
     entry = table.get(word)
     if entry is None:
         reason = REFUSED.get(word.rstrip("()="))
         raise SyntaxError(f"{word} is not there: {reason}" if reason else unknown)
-    entry.check(word, given)
-    return entry
+    entry.check(word, len(arguments))
+    return word, entry, arguments
 
 
-def _function(name: str, *arguments: Tree) -> Function:
-    unknown = f"*Undefined program or variable name* {name}("
-    name = name.upper()
-    return Function(name, _entry(FUNCTIONS, name, len(arguments), unknown), arguments)
+def _function(word: str, *arguments: Tree) -> Function:
+    unknown = f"*Undefined program or variable name* {word}("
+    return Function(*_checked(FUNCTIONS, word, arguments, unknown))
 
 
 def _step(word: str, *arguments: Tree, modifiers: tuple[str, ...] = ()) -> Step:
-    word = word.upper()
-    entry = _entry(INSTRUCTIONS, word, len(arguments), "*Unknown instruction*")
-    return Step(word, entry, arguments, modifiers)
+    return Step(*_checked(INSTRUCTIONS, word, arguments, "*Unknown instruction*"), modifiers)
 
 
 @v_args(inline=True)
@@ -88,11 +90,8 @@ class _Builder(Transformer[Any]):
     def number(self, token: str) -> Any:
         return bounded(ord(token[1]) if token[0] == "'" else number_of(token))
 
-    def integer(self, token: str) -> float:
-        return float(token)
-
-    def signed(self, number: float) -> float:
-        return -number
+    integer = float
+    negative = neg
 
     def text(self, token: str) -> str:
         return str(token[1:-1])
@@ -103,19 +102,19 @@ class _Builder(Transformer[Any]):
     def modifier(self, token: str) -> str:
         return token.upper()
 
+    def program(self, name: str) -> str:
+        return plain_name(name)
+
     def parts(self, *parts: Tree) -> tuple[Tree, ...]:
         return parts
-
-    def late_parts(self, *parts: Tree) -> tuple[Tree, ...]:
-        return (None, *parts)
 
     def reference(self, name: str, index: Any) -> Tree:
         entry = FUNCTIONS.get(name.upper())
         is_function = index is None and entry is not None and not entry.kinds
         return _function(name) if is_function else Reference(plain_name(name), index)
 
-    def function(self, name: str, arguments: Any) -> Tree:
-        return _function(name, *(arguments or ()))
+    def function(self, name: str, *arguments: Tree) -> Tree:
+        return _function(name, *arguments)
 
     def operation(self, left: Tree, sign: str, right: Tree) -> Tree:
         return _function(sign, left, right)
@@ -131,20 +130,14 @@ class _Builder(Transformer[Any]):
     def command(self, word: str, arguments: Any, *modifiers: str) -> Step:
         return _step(word, *(arguments or ()), modifiers=modifiers)
 
-    def setting(self, word: str, arguments: Any, value: Tree) -> Step:
-        return _step(f"{word}=", value, *arguments)
+    def setting(self, word: str, *parts: Tree) -> Step:
+        return _step(f"{word}=", parts[-1], *parts[:-1])
 
-    def unit_command(self, word: str, unit: Any, arguments: Any) -> Step:
-        return _step(f"{word}()", (unit or [None])[0], *(arguments or ()))
+    def unit_command(self, word: str, unit: Any, *arguments: Tree) -> Step:
+        return _step(f"{word}()", (unit or [None])[0], *arguments)
 
-    def declaration(self, word: str, _: str, *names: Tree) -> Step:
-        return _step(word, *(name.name for name in names if isinstance(name, Reference)))
-
-    def call(self, name: str, arguments: Any) -> Step:
-        return _step("CALL", plain_name(name), *(arguments or ()))
-
-    def calls(self, name: Tree, arguments: Any) -> Step:
-        return _step("CALLS", name, *(arguments or ()))
+    def declaration(self, word: str, _: str, *names: Reference) -> Step:
+        return _step(word, *(name.name for name in names))
 
     def step(self, label: str | None, step: Any = None) -> tuple[int, Step]:
         if isinstance(step, Rule):  # an instruction of control: its word is in the name of the rule
@@ -155,9 +148,9 @@ class _Builder(Transformer[Any]):
     def place(self, name: str, index: Any) -> Reference:
         return Reference(plain_name(name), index)
 
-    def header(self, name: str, *parameters: Reference | None) -> Program:
-        names = tuple(parameter.name for parameter in parameters if parameter is not None)
-        return Program(plain_name(name), names, automatic=set(names))
+    def header(self, name: str, *parameters: Reference) -> Program:
+        names = tuple(parameter.name for parameter in parameters)
+        return Program(name, names, automatic=set(names))
 
     def datum(self, place: Reference, *parts: Any) -> tuple[Reference, Any]:
         if place.name.upper() in FUNCTIONS:
@@ -205,12 +198,12 @@ def parse_line(text: str) -> Step:
         SyntaxError: saying what the line has and where, also if it has no instruction.
     """
     label, step = parse(text, "step")
-    if label >= 0 or step.entry is None:
+    if label >= 0 or not step.word:
         raise SyntaxError("*Missing argument*")
     return step  # type: ignore[no-any-return]  # of the parser
 
 
-def global_cell(memory: Memory, place: Reference) -> Cell:
+def global_variable(memory: Memory, place: Reference) -> Variable:
     """Return a global variable or an element of an array, made on first use; its index is of numbers."""
     index = tuple(int(part) for part in place.index or () if part is not None)  # type: ignore[arg-type]
     return element(memory.variables.setdefault(place.name, {}), place.name, index)
@@ -231,7 +224,7 @@ def load_programs(place: Path | str, readings: Readings | None = None) -> Memory
     warnings: list[str] = []
     for file in _files(Path(place)):
         content = read_bytes(file, _LARGEST_FILE).decode("latin-1")
-        reader = read(StringIO(content, newline=None).read(), memory)
+        reader = read(content, memory)
         faults += [f"{plain(file)}:{line}: {fault}" for line, fault in reader.faults]
         warnings += [f"{plain(file)}:{line}: {warning}" for line, warning in reader.warnings]
     faults += [f"{plain(place)}: {fault}" for fault in _call_faults(memory)]
@@ -253,10 +246,10 @@ def _files(place: Path) -> list[Path]:
 def read(content: str, memory: Memory) -> Reader:
     """Add the programs and data of a file to the memory; return its reader with faults and warnings."""
     reader = Reader(memory)
-    lines = content.replace("\f", "\n").replace("\r", "").replace("\x1a", "").split("\n")
+    lines = StringIO(content.replace("\f", "\n").replace("\x1a", ""), newline=None)
     for reader.line, text in enumerate(lines, 1):
         try:
-            reader.take(text)
+            reader.take(text.rstrip("\n"))
         except (SyntaxError, VplusError, RecursionError) as error:
             reader.note(f"{quoted(text.strip()[:60])}: {error}")
     reader.close(".END")
@@ -314,7 +307,7 @@ class Reader:
             if not self._section:
                 raise SyntaxError("outside of a program; accepted: .PROGRAM name(...)")
             place, value = parse(code, "datum")
-            global_cell(self.memory, place).store(value)
+            global_variable(self.memory, place).store(value)
 
     def close(self, head: str) -> None:
         """End what has no .END of its own, with a fault."""
@@ -339,8 +332,14 @@ class Reader:
             if label > _LARGEST_LABEL or label in program.labels:
                 self.note(f"label {label}; accepted: each once, 0 to {_LARGEST_LABEL}")
             program.labels[label] = place
-        if step.word in _DECLARATIONS:
-            self._declare(program, step)
+        if step.word in _DECLARATIONS and any(
+            earlier.word not in ("", *_DECLARATIONS) for earlier in program.steps
+        ):
+            self.note(f"{step.word} stands behind an executable line")
+        if step.word == "AUTO":
+            program.automatic.update(step.arguments)
+        if step.word == "LOCAL":
+            program.local.update((name, {}) for name in step.arguments)
         if parse(code, "step", not logic_first) != (label, step):
             reading = "read by logic_before_relations (docs/reference/vplus.md)"
             self.warnings.append(
@@ -348,17 +347,6 @@ class Reader:
             )
         step.line = self.line
         program.steps[place] = step
-
-    def _declare(self, program: Program, declaration: Step) -> None:
-        if any(step.word not in ("", *_DECLARATIONS) for step in program.steps):
-            self.note(f"{declaration.word} stands behind an executable line")
-        for declared in declaration.arguments:
-            # Without a blank, as in AUTO$s, the line has variables in place of names.
-            name = declared.name if isinstance(declared, Reference) else declared
-            if declaration.word == "AUTO":
-                program.automatic.add(name)
-            elif declaration.word == "LOCAL":
-                program.local[name] = {}
 
 
 def _opening(code: str) -> str:
@@ -373,7 +361,6 @@ def _resolve(program: Program) -> Iterator[tuple[int, str]]:
     steps = program.steps
     blocks: list[int] = []
     for place, step in enumerate(steps):
-        step.start = place
         step.target = place + 1
         number = step.arguments[-1:]
         if step.word in _INSIDE:
@@ -382,8 +369,7 @@ def _resolve(program: Program) -> Iterator[tuple[int, str]]:
             if not blocks or step.word not in _INSIDE[steps[blocks[-1]].word]:
                 yield step.line, f"{step.word} without its block"
                 continue
-            step.start = blocks[-1]
-            steps[step.start].branches.append(place)
+            steps[blocks[-1]].branches.append(place)
             if step.word in ("END", "UNTIL"):
                 _close(steps, blocks.pop(), place)
         elif step.word in ("EXIT", "NEXT"):

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import DivergenceError, SupervisionError
 from rx90_common.description.kinematics import tip_position
 from rx90_controller.lines.task import SETTLING
 from rx90_emulator.loop.line import followed_accuracy
@@ -194,32 +193,23 @@ def _execute(task: Task, options: Options) -> None:
                     f" in {task.frame.program.name}, line {task.step.line}" if task.frames else ""
                 )
                 raise VplusError("Time-out", f"{reason}; stopped{place}")
-            _beat(cell)
+            cell.advance()
     except VplusError:
         while not cell.queue.at_end and cell.time < options.longest:  # the motion under way ends
-            _beat(cell)
+            cell.advance()
         raise
-
-
-def _beat(cell: Cell) -> None:
-    try:
-        cell.advance()
-    except (SupervisionError, DivergenceError) as error:
-        cell.queue.drop(cell.drive.position())
-        raise VplusError("Soft envelope error", f"at {cell.time:.3f} s: {error}") from error
 
 
 # What is told of a run.
 
 
-_TIMES = "begin s", "end s", "taken s", "alone s", "null s"
-_COLUMNS = "line", "motion", *_TIMES, "error mm", "null mm", "joints in degrees"
-_WIDTHS = "<20", "<8", *[">8"] * 7, "<1"
+_TIMES = ["begin s", "end s", "taken s", "alone s", "null s"]
+_COLUMNS = ["line", "motion", *_TIMES, "error mm", "null mm", "joints in degrees"]
 
 
 def table(run: ProgramRun) -> list[list[str]]:
     """Return the table of motions; null: how long it took behind the last set-point, how far it was off then."""
-    rows = [[*_COLUMNS]]
+    rows = [_COLUMNS]
     for motion in run.motions:
         taken = motion.ended - motion.began
         nulling = motion.settled - motion.ended
@@ -233,12 +223,6 @@ def table(run: ProgramRun) -> list[list[str]]:
         shown = [figure.replace("nan", "-") for figure in figures]
         rows.append([motion.where, motion.kind, *shown, " -> ".join(ends)])
     return rows
-
-
-def table_text(run: ProgramRun) -> str:
-    """Return the table of motions as text."""
-    rows = (zip(row, _WIDTHS, strict=True) for row in table(run))
-    return "\n".join(" ".join(f"{cell:{width}}" for cell, width in row) for row in rows)
 
 
 def page(run: ProgramRun, name: str) -> str:

@@ -6,25 +6,26 @@ lets a beat of the cell pass then.
 
 from __future__ import annotations
 
+import math
 import random
+from collections import ChainMap
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeAlias
 
 import numpy as np
+from pinocchio import SE3
 
 from rx90_common.base.arrays import Array
-from rx90_common.description.branch import Branch
-from rx90_emulator.vplus import cell as surroundings
-from rx90_emulator.vplus.transformations import inverse
+from rx90_emulator.vplus.cell import Cell
 from rx90_emulator.vplus.tree import Function, Memory, Program, Reference, Step, Tree
 from rx90_emulator.vplus.values import (
     KINDS,
-    Cell,
     Joints,
     Scope,
     Table,
     Value,
+    Variable,
     VplusError,
     bounded,
     element,
@@ -38,14 +39,21 @@ _DEEPEST = 1000
 _TYPES: Final[dict[str, Any]] = {
     "text": str,
     "name": str,
-    "place": np.ndarray,
-    "location": (np.ndarray, Joints),
+    "place": SE3,
+    "location": (SE3, Joints),
     "plain": (float, str),
     "folded": (float, str),
     "any": object,
 }
 """Types of the values that kinds of arguments stand for; all others are reals."""
 _RANGES = {"percent": (0.001, 1000.0), "seconds": (0.0, 86_400.0), "joint": (1.0, 6.0)}
+_CONVERSIONS: Final[dict[str, Callable[[Any], Any]]] = {
+    "integer": int,
+    "joint": int,
+    "truth": bool,
+    "degrees": math.radians,
+    "bits": lambda number: (int(number) + (1 << 23)) % (1 << 24) - (1 << 23),
+}
 OF_EXECUTE = {
     "SPEED": 100.0,
     "ROTARY": 100.0,
@@ -58,20 +66,6 @@ OF_EXECUTE = {
 
 
 @dataclass
-class Loop:
-    """A FOR loop: its variable, its limit, and what is added in each turn."""
-
-    variable: Cell
-    limit: float
-    increment: float
-
-    def begin_turn(self, value: float) -> bool:
-        """Set the variable; return whether it is within the limit."""
-        self.variable.store(value)
-        return (value - self.limit) * self.increment <= 0.0
-
-
-@dataclass
 class Frame:
     """A program that runs.
 
@@ -79,13 +73,13 @@ class Frame:
         program: its steps.
         scope: its arguments and AUTO variables.
         place: number of the next step.
-        loops: FOR loops by their first step.
+        loops: of FOR loops, by the step behind them: what begins the next turn, and returns whether there is one.
     """
 
     program: Program
     scope: Scope = field(default_factory=dict)
     place: int = 0
-    loops: dict[int, Loop] = field(default_factory=dict)
+    loops: dict[int, Callable[[], bool]] = field(default_factory=dict)
 
 
 @dataclass
@@ -115,7 +109,7 @@ class Task:
     Attributes:
         always: SPEED and ROTARY (percent), DURATION (s), CP, NULL, FINE (percent), UP, DOWN (percent) and SMOOTH of the
             ramps, for all motions.
-        next: likewise, for the next motion alone.
+        next: likewise, for the next motion: what was set for it alone, or for all.
         at_start: what the next motion does when it begins.
         wanted: of whether LEFTY, BELOW and FLIP, what was asked for, by their places among these.
         switches: system switches that are on.
@@ -134,19 +128,19 @@ class Task:
         step: the newest step.
     """
 
-    def __init__(self, memory: Memory, cell: surroundings.Cell) -> None:
+    def __init__(self, memory: Memory, cell: Cell) -> None:
         self.memory = memory
         self.readings = memory.readings
         self.cell = cell
         self.arm = cell.arm
         self.queue = cell.queue
         self.always = {**OF_EXECUTE, "UP": 100.0, "DOWN": 100.0, "SMOOTH": 0.0}
-        self.next: dict[str, float] = {}
+        self.next = ChainMap({}, self.always)
         self.at_start: list[Callable[[], None]] = []
         self.wanted: dict[int, bool] = {}
         self.switches = {"POWER", "CP", "ROBOT", "MESSAGES", "SCALE.ACCEL", "UPPER"}
-        self.tool = np.eye(4)
-        self.base = np.eye(4)
+        self.tool = SE3.Identity()
+        self.base = SE3.Identity()
         self.hand_time = 0.05
         self.timers: dict[int, float] = {}
         self.reactions: dict[int, Reaction] = {}
@@ -195,7 +189,7 @@ class Task:
         for parameter, argument in zip(program.parameters, arguments, strict=False):
             if isinstance(argument, Reference):
                 whole = set(argument.index or ()) == {None}
-                scope[parameter] = self.table(argument) if whole else {(): self.cell_of(argument)}
+                scope[parameter] = self.table(argument) if whole else {(): self.variable(argument)}
             elif argument is not None:
                 element(scope[parameter], parameter).store(self.value(argument))
         self.frames.append(Frame(program, scope))
@@ -228,16 +222,11 @@ class Task:
                 yield "the processor"
                 self._steps = 0
             try:
-                yield from self._do()
+                values = self.values(self.step)
+                yield from self.step.entry.action(self, *values) or ()
+                yield from self._react()
             except (VplusError, RecursionError) as error:
                 self._fail(error, frame)
-
-    def _do(self) -> Waits:
-        """Carry out a step, and react to signals behind it."""
-        entry = self.step.entry
-        if entry is not None:
-            yield from entry.action(self, *self.values(entry.kinds, self.step.arguments)) or ()
-            yield from self._react()
 
     def _fail(self, error: VplusError | RecursionError, frame: Frame) -> None:
         """Call the program that an error calls, or end with the error."""
@@ -298,7 +287,7 @@ class Task:
                     return scope[tree.name]
         return self.memory.variables.setdefault(tree.name, {})
 
-    def cell_of(self, tree: Tree, further: int = 0) -> Cell:
+    def variable(self, tree: Tree, further: int = 0) -> Variable:
         """Return a variable or an element of an array, or the element so many indices further."""
         table = self.table(tree)
         index = [self.taken("integer", part or 0.0) for part in tree.index or ()]  # type: ignore[union-attr]
@@ -314,17 +303,19 @@ class Task:
         """
         if isinstance(tree, Function):
             return self._of_function(tree)
-        value = self.cell_of(tree).value if isinstance(tree, Reference) else tree
-        if value is None:
-            name = f"{tree.name}" if isinstance(tree, Reference) else ""
-            raise VplusError("Undefined value" if name else "Missing argument", name)
-        return value
+        if isinstance(tree, Reference):
+            value = self.variable(tree).value
+            if value is None:
+                raise VplusError("Undefined value", tree.name)
+            return value
+        if tree is None:
+            raise VplusError("Missing argument")
+        return tree
 
     def _of_function(self, tree: Function) -> Value:
-        values = self.values(tree.entry.kinds, tree.arguments)
-        task = [self] if tree.entry.of_task else []
+        values = self.values(tree)
         try:
-            return bounded(tree.entry.action(*task, *values))
+            return bounded(tree.entry.action(self, *values))
         except ZeroDivisionError:
             text = "Division by zero"
         except OverflowError:
@@ -336,10 +327,11 @@ class Task:
             f"{tree.name} of {', '.join(str(value) for value in values if np.isscalar(value))}",
         )
 
-    def values(self, kinds: list[str], arguments: tuple[Tree, ...]) -> list[Any]:
+    def values(self, called: Step | Function) -> list[Any]:
         """Return what an action gets for arguments, up to the last that is given; the last kind may come many times."""
-        repeated = [*kinds, *kinds[-1:] * len(arguments)]
-        values = [self.taken(*pair) for pair in zip(repeated, arguments, strict=False)]
+        kinds = called.entry.kinds
+        repeated = [*kinds, *kinds[-1:] * len(called.arguments)]
+        values = [self.taken(*pair) for pair in zip(repeated, called.arguments, strict=False)]
         while values and values[-1] is None:
             values.pop()
         return values
@@ -348,9 +340,10 @@ class Task:
         """Return what an action gets for an argument: the value of a kind.
 
         Args:
-            kind: `real`, `integer`, `percent`, `seconds`, `joint`, `text`, `place` (a transformation), `location` (that
-                or a precision point), `plain` (a real or a string), `folded` (the same, as comparisons see it),
-                `variable` (its cell), `name` (in upper case), `tree` (no value), `any`; with `?` or `*` behind it.
+            kind: `real`, `integer`, `bits` (an integer of 24 bits with sign), `truth`, `degrees` (becomes rad),
+                `percent`, `seconds`, `joint`, `text`, `place` (a transformation), `location` (that or a precision
+                point), `plain` (a real or a string), `folded` (the same, as comparisons see it), `variable` (itself),
+                `name` (in upper case), `tree` (no value), `any`; with `?` or `*` behind it.
             argument: None where it is left out.
 
         Raises:
@@ -360,7 +353,7 @@ class Task:
         if name == "tree" or (argument is None and kind.endswith("?")):
             return argument
         if name == "variable":
-            return self.cell_of(argument)
+            return self.variable(argument)
         if name == "name" and isinstance(argument, Reference | Function):
             return argument.name.upper()
         value: Any = self.value(argument)
@@ -371,20 +364,21 @@ class Task:
             raise VplusError("Illegal value", f"{value:g} {name}; accepted: {low:g} to {high:g}")
         if name == "folded" and isinstance(value, str) and self.readings.ignore_case:
             return value.upper()
-        return int(value) if name in ("integer", "joint") else value
+        convert = _CONVERSIONS.get(name)
+        return value if convert is None else convert(value)
 
     # Where the tool is.
 
     @property
-    def _stand(self) -> Array:
+    def _stand(self) -> SE3:
         """Return where the robot stands in the world."""
-        return self.base if self.readings.base_moves_robot else inverse(self.base)
+        return self.base if self.readings.base_moves_robot else self.base.inverse()
 
-    def tool_at(self, q: Array) -> Array:
+    def tool_at(self, q: Array) -> SE3:
         """Return where the tool is in the world at joint angles, rad, shape (6,)."""
-        return self._stand @ self.arm.flange(q) @ self.tool
+        return self._stand * self.arm.flange(q) * self.tool
 
-    def solve(self, place: Array, *, keep: bool = False) -> Array:
+    def solve(self, place: SE3, *, keep: bool = False) -> Array:
         """Return the joint angles, rad, shape (6,), at which the tool is at a place in the world.
 
         Args:
@@ -394,19 +388,8 @@ class Task:
         Raises:
             VplusError: if there are none.
         """
-        parts = configuration(self.arm.posture(self.queue.destination))
+        parts = self.arm.configuration(self.queue.destination)
         if not keep:
             parts = [self.wanted.get(part, present) for part, present in enumerate(parts)]
-        posture = Branch(
-            "back" if parts[0] else "front",
-            "positive" if parts[0] == parts[1] else "negative",
-            "negative" if parts[2] else "positive",
-        )
-        flange = inverse(self._stand) @ place @ inverse(self.tool)
-        return self.arm.solve_target(flange, posture, self.queue.destination)
-
-
-def configuration(posture: Branch) -> list[bool]:
-    """Return whether a configuration is LEFTY, BELOW and FLIP."""
-    lefty = posture.shoulder == "back"
-    return [lefty, (posture.elbow == "positive") == lefty, posture.wrist == "negative"]
+        flange = self._stand.inverse() * place * self.tool.inverse()
+        return self.arm.solve_target(flange, parts, self.queue.destination)

@@ -41,12 +41,10 @@ class Entry:
         kinds: of its arguments (see `Task.taken`); `?` behind one that may be left out, `*` behind one that may come
             any number of times.
         action: what an instruction does to a task, with what it waits for; a function's value.
-        of_task: whether the action gets the task before the arguments.
     """
 
     kinds: list[str]
     action: Callable[..., Any]
-    of_task: bool = True
 
     def check(self, word: str, given: int) -> None:
         """Check how many arguments are given.
@@ -62,18 +60,20 @@ class Entry:
             )
 
 
-def entries(actions: dict[str, Callable[..., Any]], *, of_task: bool) -> dict[str, Entry]:
+_NOTHING = Entry([], lambda _: None)
+
+
+def entries(actions: dict[str, Callable[..., Any]]) -> dict[str, Entry]:
     """Return a table of instructions or functions.
 
     Args:
-        actions: by the words that have one, two blanks, and the kinds of its arguments.
-        of_task: whether actions get the task.
+        actions: by the words that have one, two blanks, and the kinds of its arguments; they get the task before these.
     """
     table = {}
     for line, action in actions.items():
         words, _, arguments = line.partition("  ")
         for word in words.split():
-            table[word] = Entry(arguments.split(), action, of_task)
+            table[word] = Entry(arguments.split(), action)
     return table
 
 
@@ -110,21 +110,19 @@ class Step:
     Attributes:
         word: of the instruction in upper case, empty for a blank line; with `=` behind it where a value is set, with
             `()` where a unit stands in brackets.
-        entry: what it does; None for a blank line.
+        entry: what it does.
         arguments: in their order; a value that is set, or a unit, comes first.
         modifiers: such as ALWAYS.
         line: of the file.
-        start: number of the step that opens the block that it belongs to; its own if it belongs to none.
         target: number of the step to which it jumps.
         branches: of a block, in their order: the steps that belong to it.
     """
 
     word: str = ""
-    entry: Entry | None = None
+    entry: Entry = _NOTHING
     arguments: tuple[Any, ...] = ()
     modifiers: tuple[str, ...] = ()
     line: int = 1
-    start: int = 0
     target: int = 0
     branches: list[int] = field(default_factory=list)
 

@@ -1,6 +1,6 @@
-"""Values of V+, the cells that hold them, and the errors that stop a program.
+"""Values of V+, the variables that hold them, and the errors that stop a program.
 
-A value is a real (float), a string (str), a transformation (4 x 4 array, mm), a precision point (`Joints`, degrees) or
+A value is a real (float), a string (str), a transformation (SE3, mm), a precision point (`Joints`, degrees) or
 a format of TYPE. Reals are doubles here; the cabinet's are single. Texts of errors are better known than their numbers:
 both are from memory of the manuals, and every message says so of its number.
 """
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
+from pinocchio import SE3
 
-from rx90_common.base.arrays import Array
 from rx90_common.base.errors import FailureError, Rx90Error
 
 NUMBERS = {
@@ -95,12 +95,12 @@ class Format:
     text: str
 
 
-Value: TypeAlias = float | str | Joints | Array | Format
+Value: TypeAlias = float | str | Joints | SE3 | Format
 KINDS = {
     float: "real",
     str: "string",
     Joints: "precision point",
-    np.ndarray: "transformation",
+    SE3: "transformation",
     Format: "format",
 }
 """What values are, in words."""
@@ -120,11 +120,11 @@ def bounded(result: object) -> Value:
         return float(result)
     if isinstance(result, str) and len(result) > _LONGEST:
         raise VplusError("String too long", f"{len(result)} characters; accepted: up to {_LONGEST}")
-    return result  # type: ignore[return-value]  # functions give values of V+
+    return result
 
 
 @dataclass
-class Cell:
+class Variable:
     """A variable or an element of an array; a value of None is an undefined one."""
 
     name: str
@@ -153,12 +153,12 @@ def plain_name(name: str) -> str:
 
 
 Index: TypeAlias = tuple[int, ...]
-Table: TypeAlias = dict[Index, Cell]
+Table: TypeAlias = dict[Index, Variable]
 """An array: its elements by their index; a plain variable has the index ()."""
 Scope: TypeAlias = dict[str, Table]
 
 
-def element(table: Table, name: str, index: Index = ()) -> Cell:
+def element(table: Table, name: str, index: Index = ()) -> Variable:
     """Return an element of an array, made on first use.
 
     Raises:
@@ -167,4 +167,4 @@ def element(table: Table, name: str, index: Index = ()) -> Cell:
     if len(index) > 3 or not all(0 <= number <= _LARGEST_INDEX for number in index):
         raise VplusError("Illegal array index", f"{name}{list(index)}")
     shown = f"{name}[{','.join(map(str, index))}]" if index else name
-    return table.setdefault(index, Cell(shown))
+    return table.setdefault(index, Variable(shown))

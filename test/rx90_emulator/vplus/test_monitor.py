@@ -69,6 +69,8 @@ NUMBER = r"\s+-?\d+\.\d{3}"
         (["HERE o[1]", " 1 2  3", "", "listl o"], r".*\r\n.*\r\no\[1\] +1.000 +2.000 +3.000 .*\r\n\."),
         (["do x = 1", "here o[x]", "listl o"], r"listl o\r\n +X/J1 .*r/J6\r\n\."),
         (["HERE o", "\x03listl o"], r"\r\n\.listl o\r\n.*\r\no +0.000 .*\r\n\."),
+        (["point o", "1, nan"], r"1, nan\r\n\*Arithmetic overflow\* nan\r\n\."),
+        (["speed 30, 50"], r"speed 30, 50\r\n\."),
         (["point o[x]"], r"point o\[x\]\r\n\*'x\]' is not expected\*\r\n\."),
         (["edit 1"], r"edit 1\r\n\*'1' is not expected\*\r\n\."),
         (["do x = 4", 'do $s = "a"', "lists"], r'lists\r\n\$s = "a"\r\n\.'),
