@@ -39,7 +39,6 @@ def estimates(out: Path) -> Any:
 
 @pytest.fixture(scope="module")
 def ramps(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of one complete measurement of ramps, no-load and loaded."""
     out = tmp_path_factory.mktemp("friction") / "run"
     with pytest.MonkeyPatch.context() as patch:
         leave_plots_out(patch)
@@ -274,7 +273,6 @@ def test_launch_file_starts_the_node_with_parameters_that_it_has(monkeypatch: py
 
 
 def failed(client: RigClient) -> dict[str, str]:
-    """Return what was found in each check that fails; the rig is off afterwards, with no fault latched."""
     found = {check.name: check.found for check in self_test(client) if not check.good}
     assert not client.port.emulated.board.stage_on
     assert client.last.report.fault == Fault.NONE

@@ -47,7 +47,6 @@ MODEL = RampModel(coulomb=0.05, viscous=0.02, inertia=3e-3, slope=0.05)
 
 
 def ideal_record(model: RampModel, duration: float, **changes: Any) -> RampRecord:
-    """Return a ramp as a perfect rig with an encoder would give it, without torques."""
     time = np.arange(0.0, duration, TICK)
     angle = np.floor(model.angle(time) / STEP + 0.5) * STEP
     return RampRecord(**{"time": time, "angle": angle, "slope": model.slope, "angle_step": STEP, **changes})
@@ -72,7 +71,6 @@ def quiet(rig: Rig) -> Rig:
 
 
 def measure(rig: Rig, seed: int, repeats: int, slopes: tuple[float, ...], end: float = 0.15, loaded: bool = False):
-    """Return ramps of an emulated rig with the real firmware, in virtual time."""
     client = greeted(rig, seed, loaded)
     return [run_ramp(client, slope, end, loaded, f"{slope} {k}") for k in range(repeats) for slope in slopes]
 
@@ -114,11 +112,7 @@ def slow_start(time: Array, T: float) -> Array:
 
 
 def test_rows_and_estimates_of_a_ramp_are_those_of_generalised_least_squares() -> None:
-    """By dense algebra at uneven times: whitening, the information of rows, and what a ramp tells by itself.
-
-    The covariance is V = r I + q K, K the sample covariance of an inertia that white noise drives; rows also contain
-    the ramp's own alpha and beta, and lack its start. The torque is one step on another.
-    """
+    """By dense algebra at uneven times, V = r I + q K, K of an inertia that white noise drives, under a step."""
     rng = np.random.default_rng(1)
     time = np.cumsum(rng.uniform(0.01, 0.05, 60))
     T, q, r, spread = 0.08, 3e-3, 1.3e-5, np.array([0.4, 0.7])
@@ -160,8 +154,6 @@ SEEDS = 8
 
 @pytest.fixture(scope="module")
 def grid_results(rig: Rig) -> list[list[RampIdentification]]:
-    """Return the estimates of every cell of the grid, by seeds."""
-
     def result(cell: int, seed: int) -> RampIdentification:
         fc, fv, inertia, slopes, end = GRID[cell]
         quick = QuickRig(own(rig, fc, fv, inertia), 1000 * cell + seed)
@@ -251,10 +243,7 @@ def test_joint_friction_is_the_difference_and_carries_its_scale(rig: Rig) -> Non
 
 
 def test_intervals_contain_what_differs_from_ramp_to_ramp() -> None:
-    """On the source's rig, whose torque and joint differ from ramp to ramp, most 95 % intervals hold f_c, f_v and J.
-
-    Without the differences in the covariance half hold.
-    """
+    """On the source's rig most 95 % intervals hold f_c, f_v and J; without what differs by ramps half would."""
     rig = load_rig(config_path(SOURCE_RIG))
     truth, hits, spreads = truth_of(rig, True), [], []
     for seed in range(5):
@@ -270,10 +259,7 @@ def test_intervals_contain_what_differs_from_ramp_to_ramp() -> None:
 
 @pytest.mark.parametrize("velocity", [4.0, 4.7, 5.5, 16.0])
 def test_stribeck_velocity_of_any_size_is_held(velocity: float) -> None:
-    """A solver's ramps with an effect of any w_s, e = 1.25, fine counts: f_c, f_v within 3 deviations, and 0.1 %.
-
-    The effect, with which the slope falls by a fifth at 16 rad/s, does not count as a bend.
-    """
+    """A solver's ramps, any w_s, e = 1.25: f_c, f_v within 3 deviations, and 0.1 %; the effect is no bend."""
     coulomb, viscous, inertia, left = 0.05, 1e-3, 6e-5, 0.02
     windows = []
     for slope in (0.02, 0.05):

@@ -217,7 +217,6 @@ def test_stop_overtakes_a_command_under_way(client: RigClient, emulated: Emulate
 
 @pytest.fixture
 def line(rig: Rig) -> Iterator[tuple[int, SerialPort]]:
-    """Return the far end of a pseudo-terminal, which does not block, and a port at its near end."""
     master, slave = os.openpty()
     try:
         tty.setraw(slave)

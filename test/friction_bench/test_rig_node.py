@@ -32,8 +32,6 @@ FAR_FROM_THE_END = 100
 
 
 class Session:
-    """A rig, the node that serves it, and a client, on the domain of the environment."""
-
     def __init__(self, rig: Rig, folder: Path, namespace: str = "", *arguments: str) -> None:
         self.name = f"{namespace}/friction_bench"
         self.pty = PatientRig(EmulatedRig(rig, 1), folder / "rig")
@@ -68,7 +66,6 @@ class Session:
         return answer.result()
 
     def heard(self, count: int) -> None:
-        """Listen until so many states have come, whose stamps are ticks of 20 ms."""
         self.until(lambda: len(self.states) >= count)
         stamps = [state.header.stamp.sec * 10**9 + state.header.stamp.nanosec for state in self.states]
         assert all(b > a and (b - a) % 20_000_000 == 0 for a, b in pairwise(stamps))
@@ -78,7 +75,6 @@ class Session:
         return self.pty.emulated.board.stage_on
 
     def fault_is_latched_until_cleared(self) -> None:
-        """Hold the rig, which has lost its host, to what it must do and say."""
         self.until(lambda: bool(self.diagnostics) and "silent" in self.diagnostics[-1].status[0].message)
         assert not self.call("arm").success
         self.insist("clear", "arm")
@@ -120,7 +116,6 @@ class Session:
         return len(angles) == 1 and abs(angles.pop() - rig.plant.angle) <= rig.rig.angle_step
 
     def close(self) -> None:
-        """End the node by its own pid, the rig and the client."""
         if self.process.poll() is None:
             self.process.kill()
         self.process.wait()
@@ -132,7 +127,6 @@ class Session:
 
 @pytest.fixture
 def make(rig: Rig, tmp_path: Path, ros_domain: int, warm: None) -> Iterator[Callable[..., Session]]:  # noqa: ARG001 - a domain of its own
-    """Return a maker of nodes that report their rigs, in namespaces, on a domain of the test's own."""
     with ExitStack() as stack:
 
         def start(side: str = "") -> Session:
@@ -166,7 +160,6 @@ def test_two_rigs_beside_each_other_know_nothing_of_each_other(make: Callable[..
 
 
 def refuse_a_torque_beyond_the_firmware(session: Session) -> None:
-    """Set an end torque that the parameter takes and the firmware does not: the ramp is refused."""
     setter = session.node.create_client(SetParameters, f"{session.name}/set_parameters")
     session.until(setter.service_is_ready)
     for value in (0.19, 0.15):

@@ -16,7 +16,6 @@ from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 
 @pytest.fixture(scope="module")
 def lugre_rig() -> Rig:
-    """Return the shipped rig whose joint has bristles, without errors of its amplifier and friction of its motor."""
     rig = load_rig(config_path("rig/gm8224_lugre.yaml"))
     return rig.replaced(
         emulation={"amplifier": {"gain_error": 0.0, "torque_noise": 0.0}, "motor_friction": {"coulomb": 0.0}}

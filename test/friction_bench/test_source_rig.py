@@ -55,11 +55,7 @@ def test_published_friction_lies_within_the_spread_of_the_ramps(measured: Path) 
 
 
 def test_models_differ_by_creep_and_the_experiment_by_its_spread(measured: Path) -> None:
-    """Experiment and models stay within 7 % and 10 %; the models differ at break-away by the creep of smooth friction.
-
-    While they slide, friction differs at most by what the torque at break-away is above f_c: three standard deviations
-    of the rig's spread.
-    """
+    """Experiment and models stay within 7 % and 10 %; models differ by creep, and sliding by the rig's spread."""
     pairs = yaml.safe_load((measured / "estimates.yaml").read_text())["comparison"]
     found = {(pair["first"], pair["second"]): pair for pair in pairs}
     assert 0.1 < found["experiment", "block diagram"]["sliding"] <= found["experiment", "block diagram"]["worst"]
@@ -113,7 +109,6 @@ class CountingBoard(NativeBoard):
     times = 0
 
     def switched_on(self) -> bool:
-        """Return whether the stage came on, and count it."""
         came = super().switched_on()
         self.times += came
         return came
