@@ -144,7 +144,6 @@ def test_the_last_tolerance_that_fits_decides() -> None:
 
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Make the bags a, same (other storage, other order), off (joint_2 by 1e-3 at 5 ms) and more."""
     folder, a = tmp_path_factory.mktemp("bags"), series()
     off = changed(a, 5, 1, a.position[5, 1] + 1e-3)
     write_joint_states(folder / "a", [a])

@@ -237,7 +237,6 @@ TIMES = np.sort(RNG.choice(10**12, 300, replace=False)) + 1_790_000_000 * 10**9 
 
 
 def odd_numbers(count: int) -> np.ndarray:
-    """Return numbers of all sizes up to 1e9: any bits, both zeros, the smallest."""
     found = RNG.integers(0, 2**64, (count, len(NAMES)), dtype=np.uint64).view(np.float64)
     found[~(np.abs(found) <= 1e9)] = 5e-324
     found[:2] = [[-0.0, 1e9], [0.0, 0.1 + 0.2]]
@@ -246,7 +245,6 @@ def odd_numbers(count: int) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a bag with three topics, one of them of a current."""
     folder = tmp_path_factory.mktemp("bag") / "run"
     values = [odd_numbers(len(TIMES)) for _ in range(5)]
     series = [

@@ -24,7 +24,6 @@ JOINT_NAMES = st.lists(NAME, min_size=1, max_size=7, unique=True)
 
 @st.composite
 def recordings(draw: Any) -> tuple[list[str], tuple[bool, bool, bool], list[dict[str, Any]]]:
-    """Draw joint names, which arrays are there, and messages with the joints in an order of their own."""
     names = draw(JOINT_NAMES)
     present = draw(st.tuples(st.booleans(), st.booleans(), st.booleans()))
     messages = []

@@ -199,7 +199,6 @@ def test_an_index_that_leads_elsewhere_is_refused(tmp_path: Path, fault: str) ->
 
 
 def write_mcap(path: Path, compression: CompressionType, index: IndexType) -> Path:
-    """Write 20 messages in several chunks by the mcap project's writer."""
     writer = McapWriter(str(path), chunk_size=500, compression=compression, index_types=index)
     writer.start("ros2")
     channel = writer.register_channel("/x", "cdr", writer.register_schema(JOINT_STATE, "ros2msg", b""))

@@ -35,7 +35,6 @@ Write = Callable[[str | bytes], Path]
 
 
 def refusal(call: Callable[[], Any], path: Path) -> str:
-    """Return the line with which a file is refused; it names the file and what is accepted."""
     with pytest.raises(ConfigError) as caught:
         call()
     text = str(caught.value)

@@ -35,7 +35,6 @@ def _states(robot: RobotModel, count: int, seed: int = 3) -> np.ndarray:
 
 
 def _check_against_pinocchio(robot: RobotModel) -> None:
-    """Check pose, Jacobian and classical acceleration of the tool centre point in ten states."""
     data, frame = robot.model.createData(), robot.model.getFrameId(robot.tcp_frame)
     q, v = _states(robot, 10), np.random.default_rng(4).normal(size=(10, 6))
     pose, ours, bias = forward(robot.chain, q), jacobian(robot.chain, q), bias_acceleration(robot.chain, q, v)
@@ -70,7 +69,6 @@ def test_any_serial_arm_is_the_urdf_seen_by_pinocchio(
 
 
 def _offset_arm(chain: RigidChain) -> RigidChain:
-    """Return an arm with offsets at shoulder, elbow and forearm, and reversed axes."""
     origin = chain.origin.copy()
     origin[0] += [0.03, -0.02, 0.0]
     origin[1] += [0.15, 0.05, 0.02]

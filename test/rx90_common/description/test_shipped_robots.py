@@ -225,7 +225,6 @@ def panda() -> Setup:
 
 @pytest.fixture(scope="module")
 def published() -> pin.Model:
-    """Return the published arm: its frames by Denavit and Hartenberg, its bodies by Gaz."""
     model = pin.Model()
     for k, ((a, d, alpha), (mass, center, inertia)) in enumerate(zip(DH, LINKS, strict=True)):
         c, s = math.cos(alpha), math.sin(alpha)

@@ -30,7 +30,6 @@ class Clock:
 
 
 def pacer(clock: Clock, factor: float) -> Pacer:
-    """Return a pacer of 4 kHz on this clock."""
     return Pacer(PERIOD, factor, clock.read, clock.sleep)
 
 
@@ -121,7 +120,6 @@ class Topic:
         return 1
 
     def wait_for_all_acked(self, timeout: object) -> bool:
-        """Wait for the timeout, or until all has arrived."""
         seconds = timeout.nanoseconds * 1e-9  # type: ignore[attr-defined]
         if self.arrived_at is None:
             self.arrived_at = self.now + self.slowness

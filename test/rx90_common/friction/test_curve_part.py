@@ -30,7 +30,6 @@ def curve(positive: dict[str, Any] = STRIBECK, negative: dict[str, Any] = OTHER)
 
 
 def any_table(rng: np.random.Generator, points: int) -> CurveTable:
-    """Return a table of any shape that does not fall at its end, from a velocity above 0 on."""
     velocity = np.cumsum(rng.uniform(0.01, 0.3, points))
     torque = 10.0 ** rng.uniform(0.5, 1.5, points)
     torque[0] = 40.0  # it falls from there: the line before it rises towards rest
@@ -39,7 +38,6 @@ def any_table(rng: np.random.Generator, points: int) -> CurveTable:
 
 
 def pchip(table: CurveTable, speed: Array) -> Array:
-    """Return SciPy's interpolant, continued by straight lines."""
     velocity = np.array(table.velocity)
     interpolant = PchipInterpolator(velocity, table.torque)
     inside = np.clip(speed, velocity[0], velocity[-1])

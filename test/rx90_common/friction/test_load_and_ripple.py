@@ -95,7 +95,6 @@ def test_the_load_follows_exactly() -> None:
 
 
 def any_ripple(rng: np.random.Generator) -> RipplePart:
-    """Return one to four waves of each angle, whose amplitudes sum to less than 1."""
     values: dict[str, Sequence[float]] = {}
     for angle in ("joint", "motor"):
         terms = int(rng.integers(1, 5))

@@ -177,7 +177,6 @@ def far_from_reversals(k: float, f_v: float, f_o: float, f_c: float, alpha: floa
 
 
 def published() -> Mapping[str, Mapping[str, Sliding]]:
-    """Return what the sources come to at the joints, by file and element."""
     inner = [Sliding((abs(i) * r0, abs(i) * r0), i**2 * r1, abs(i) * r0) for i, r0, r1 in R3_INNER]
     outer = [Sliding((r0, r0), r1, peak * r0) for r0, r1, peak in R3_OUTER]
     bam = {

@@ -16,7 +16,6 @@ BATCHES = -(-SETS // 7)
 
 
 def any_warmth(rng: np.random.Generator, **values: Any) -> TemperaturePart:
-    """Return a part with all its values drawn, time constants from 50 to 200 s."""
     reference, resistance = rng.uniform(30, 50), 10.0 ** rng.uniform(-2, 0)
     drawn = {
         "reference": reference, "lowest": 20.0, "highest": 190.0, "start": rng.uniform(20, 60), "ambient": 20.0,
@@ -85,7 +84,6 @@ def test_friction_that_warms_itself_against_a_solver() -> None:
 
 
 def _solved(elements: list[FrictionElement], velocity: Array, duration: float) -> Array:
-    """Return the temperatures after a time at constant velocities, by SciPy."""
     parts = [e.temperature for e in elements if e.temperature]
 
     def rates(_: float, now: Array) -> Array:

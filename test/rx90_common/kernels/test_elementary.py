@@ -62,7 +62,6 @@ def one_by_one(x: Array, out: Array) -> None:
 
 
 def samples() -> Array:
-    """Return numbers of all sizes, both signs, and the neighbours of multiples of pi/4."""
     rng = np.random.default_rng(7)
     turns = np.arange(-40, 40) * (math.pi / 4)
     beside = [np.nextafter(turns, -9e9), turns, np.nextafter(turns, 9e9)]
@@ -121,7 +120,6 @@ def test_lanes_and_floats_give_the_same_bits() -> None:
 
 @numba.njit
 def powers(base: Array, exponent: Array, out: Array) -> None:
-    """Write base^exponent, eight lanes at a time."""
     for i in range(0, base.size, 8):
         store(out[i:], power(load(base[i:], 8), load(exponent[i:], 8)))
 

@@ -71,7 +71,6 @@ def test_an_interrupt_where_it_would_get_lost_comes_later() -> None:
 
 @pytest.fixture
 def handlers() -> Iterator[None]:
-    """Give the handlers back after the test, and end a test that stands still."""
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
     before = [signal.getsignal(number) for number in numbers]
 
