@@ -1,7 +1,4 @@
-"""The six servo loops on one inertia against independent answers; saturation, feed-forward, and the supervision.
-
-Joint 5 stays at rest wherever joint 6 is looked at, because motor 6 follows q5 + q6.
-"""
+"""The six servo loops on one inertia against independent answers; saturation, feed-forward, and the supervision."""
 
 import dataclasses
 import math
@@ -244,7 +241,6 @@ def test_each_joint_has_its_limits(shipped: Setup, joint: int, quantity: str, si
 
 
 def weak(setup: Setup, following_error: float) -> Setup:
-    """Return a setup whose motor 2 is too weak for the motion, with another limit of the following error."""
     drives = setup.drives.replaced(motor={"peak_current": setup.drives.peak_current * [1, 0.15, 1, 1, 1, 1]})
     controller = unchecked(setup.controller, supervision={"following_error": np.full(6, following_error)})
     return dataclasses.replace(setup, drives=drives, controller=controller)

@@ -109,10 +109,7 @@ def test_knots_carry_the_derivatives_of_exact_positions(plan: LinePlan, shipped:
 
 
 def test_seven_joints_move_with_the_least_speed(seven: RobotModel, plan: LinePlan) -> None:
-    """The path is that of the pseudo-inverse of Pinocchio's Jacobian, integrated by SciPy, to 1e-9 rad.
-
-    The redundancy thus shows: the same line from another posture of the same pose is another path.
-    """
+    """To 1e-9 rad the path of the pseudo-inverse of Pinocchio's Jacobian, by SciPy; another posture, another path."""
     task, data = plan.task, seven.model.createData()
     frame = seven.model.getFrameId(seven.tcp_frame)
     first, last = (pin.rpy.rpyToMatrix(*rpy) for rpy in (task.start_rpy, task.end_rpy))
@@ -175,10 +172,7 @@ def _refusal(robot: RobotModel, task: LineTask) -> tuple[str, float]:
 
 
 def test_a_line_into_the_singularity_or_beyond_the_reach_is_refused(seven: RobotModel) -> None:
-    """Straight away from the shoulder the smallest singular value, by NumPy on Pinocchio's Jacobian, falls below 0.05.
-
-    A start that no posture reaches says by how much it is missed: by what the arm lacks in length at least.
-    """
+    """Where the least singular value, by NumPy, falls below 0.05; a start out of reach tells what is missing."""
     outwards = np.array([0.9, 0.2, 0.1])
     message, place = _refusal(seven, _line(seven, outwards))
     assert "arm singularity" in message

@@ -45,7 +45,6 @@ def without_acceleration(setup: Setup) -> Setup:
 
 
 def friction_alone(setup: Setup) -> Setup:
-    """Return a setup whose controller feeds forward by its model of friction, and by no other part of the model."""
     return without_acceleration(by_model(setup, inverse_dynamics=False))
 
 
@@ -131,10 +130,7 @@ def test_a_friction_model_that_was_off_begins_undeflected(shipped: Setup) -> Non
 
 
 def held(setup: Setup, other: Setup, ticks: int) -> tuple[Array, Any]:
-    """Hold a pose for ticks, then for as many with another controller's constants.
-
-    Returns how far the joints go from the switch on, rad, shape (n, 6), and the controller's state.
-    """
+    """Return how far a held pose goes under another controller's constants, rad, (n, 6), and the state."""
     plant, controller = setup.plant(), setup.cs7b()
     pose = np.array([0.1, 0.5, 1.2, 0.2, 0.9, 0.3])
     plant.reset(pose)
@@ -183,7 +179,6 @@ WARM = TEMPERATURE.replaced(start=22.0, ambient=21.0, capacity=1e9, resistance=0
 
 
 def parted(setup: Setup, path: Path, **parts: Any) -> tuple[CS7B, tuple[FrictionElement, ...]]:
-    """Return a controller whose friction model alone is on, each element with these parts, and the elements."""
     elements = tuple(element.replaced(**parts) for element in setup.friction.elements)
     return with_friction(friction_alone(setup), elements, path / "friction.yaml").cs7b(), elements
 

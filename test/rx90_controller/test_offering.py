@@ -18,10 +18,7 @@ TICKS = 8  # that pass while a stamped trajectory is joined
 
 
 class Ways:
-    """Notes, of each trajectory that enters a generator, whether the lock of the ticks was free: `beside`.
-
-    Beside the ticks `meanwhile` is called, with the number of such calls before; by default it runs ticks.
-    """
+    """Notes whether the ticks' lock is free where a trajectory enters a generator, and calls `meanwhile`."""
 
     def __init__(self, rig: Rig) -> None:
         self.rig, self.beside, self.tick = rig, [], 0
@@ -33,7 +30,6 @@ class Ways:
         self.calls, self.meanwhile = 0, meanwhile
 
     def run(self, count: int) -> None:
-        """Run ticks of the position loop; the motors keep to the set-points."""
         for _ in range(count):
             gear = self.rig.cs7b
             self.rig.run(self.tick, gear.rates.ratio)
@@ -76,7 +72,6 @@ def message(
 
 
 def goal(rig: Rig, given: SimpleNamespace) -> mock.Mock:
-    """Offer a goal as the action does; return who has sent it."""
     sender = mock.Mock()
     rig.loop.offer(rig.goal(given, sender))
     return sender

@@ -125,7 +125,6 @@ class Drives(Law):
     release = reset
 
     def step(self, *_: object) -> None:
-        """Run a tick; find a fault where there is one."""
         super().step()
         if self.broken:
             self.fault = DriveFault(NAMES[0], "speed", 9.0, 5.0, "rad/s", 0.0)
@@ -133,11 +132,7 @@ class Drives(Law):
 
 
 class Play:
-    """A controller that is given events at random, and what must hold of it, kept beside it.
-
-    Attributes:
-        on: whether ticks give torque, by the events alone.
-    """
+    """A controller given random events, and what must hold; `on`: ticks give torque, by the events alone."""
 
     def __init__(self, random: Generator) -> None:
         self.random, self.law, self.outputs = random, Drives(), mock.Mock()
