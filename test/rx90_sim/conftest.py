@@ -85,8 +85,6 @@ def frictionless() -> FrictionSet:
 
 @pytest.fixture(scope="session")
 def masses(shipped: Setup) -> Callable[..., Plant]:
-    """Return a maker of plants of independent masses: `masses(elements, inertia, base_hz)`."""
-
     def make(elements: Sequence[FrictionElement], inertia: float = 1.0, base_hz: int = 4000) -> Plant:
         setup = dataclasses.replace(decoupled_setup(shipped, elements, inertia), rates=Rates(base_hz, base_hz // 4))
         return setup.plant()
