@@ -31,7 +31,6 @@ POSE = np.array([0.3, 0.5, 1.0, -0.4, 0.6, 0.2])
 def elastic(
     setup: Setup, stiffness: ArrayLike, damping: ArrayLike = 0.0, backlash: ArrayLike = 0.0, side: str = MOTOR
 ) -> Setup:
-    """Return a setup with elastic gears; numbers stand for six."""
     given = {"stiffness": stiffness, "damping": damping, "backlash": backlash}
     values = {name: np.broadcast_to(np.asarray(value, float), 6) for name, value in given.items()}
     return dataclasses.replace(setup, drives=setup.drives.replaced(elasticity={**values, "friction": side}))

@@ -127,7 +127,6 @@ def run_both_ways(
 
 
 def _write_run(setup: Setup, task: LineTask, folder: Path, *, corrected: bool) -> list[str | Path]:
-    """Write the run of the closed loop; return the options of rx90 line for the same."""
     learned = learn_correction(setup, task, 1) if corrected else None
     correction = None if learned is None else learned.correction
     run = run_line(setup, task, start_time=START, record_fast=True, correction=correction)

@@ -43,7 +43,6 @@ class Seven(NamedTuple):
 
     @classmethod
     def of(cls, elements: Sequence[FrictionElement], period: float = 2.5e-4, seed: int = 0) -> Seven:
-        """Return elements at rest, of which none transmits a torque."""
         parts = np.zeros(1, parts_dtype(RX_WRIST.size.elements))
         fill_parts(parts[0], elements, GEAR, period, seed)
         seven = cls(
@@ -61,10 +60,7 @@ def begin(parts: Record, states: Record, transmitted: Array) -> None:
 
 @kernel
 def follow(seven: Seven, motion: Array, step: float, torque: Array, stored: Array) -> None:
-    """Run along angles in the middle of each step, velocities and transmitted torques, shape (n, 3, 7).
-
-    Write the mean torque over each step, Nm, and the energy of the bristles behind it, J, each of shape (n, 7).
-    """
+    """Run along angles, velocities and transmitted torques, (n, 3, 7), to mean torques, Nm, and energies, J."""
     elements, parts, state, z = seven.elements[0], seven.parts[0], seven.states[0], seven.z
     for k in range(len(motion)):
         deflection, mean = parts_step(
@@ -89,7 +85,6 @@ def along(seven: Seven, motion: Array, step: float) -> tuple[Array, Array]:
 
 
 def any_element(rng: np.random.Generator, **parts: Any) -> FrictionElement:
-    """Return an element with a size, an asymmetry and exponents drawn, passive up to SPEED."""
     size = 10.0 ** rng.uniform(-1, 2)
     tau_c = size * rng.uniform(0.6, 1.4, 2)
     tau_s = tau_c * rng.uniform(1.0, 1.8, 2)
