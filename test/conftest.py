@@ -81,7 +81,6 @@ def shipped_files() -> RobotFiles:
 
 
 def _need_messages(package: str) -> None:
-    """Skip where messages are not built, which a compiler is needed for; fail where packages are required."""
     from rx90_common.exchange.ros_start import missing_messages
 
     if line := missing_messages(package):
@@ -100,7 +99,6 @@ def needs_manager() -> None:
 
 @pytest.fixture(scope="session")
 def needs_tf() -> None:
-    """Skip where tf2_msgs is not there, which a compiler is needed for; fail where packages are required."""
     try:
         import tf2_msgs.msg  # noqa: F401
     except ImportError as error:
@@ -109,8 +107,6 @@ def needs_tf() -> None:
 
 @pytest.fixture
 def edited_yaml(tmp_path: Path) -> Callable[..., Path]:
-    """Return a function that copies a YAML file with one value replaced, or with a key removed or added."""
-
     def edit(source: Path, path: tuple[str | int, ...], value: Any, *, remove: bool = False) -> Path:
         data = copy.deepcopy(yaml.safe_load(source.read_text(encoding="utf-8")))
         holder = data
