@@ -14,6 +14,7 @@ from launch_stub import build, ending, parameters
 from report_pages import leave_plots_out
 from rig_bench import greeted, rig_file_with, spoil
 from schema_faults import schema_faults
+from shared_files import made_once
 
 from friction_bench.experiment import job as ramp_job
 from friction_bench.experiment import selftest, session
@@ -39,11 +40,12 @@ def estimates(out: Path) -> Any:
 
 @pytest.fixture(scope="module")
 def ramps(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("friction") / "run"
-    with pytest.MonkeyPatch.context() as patch:
-        leave_plots_out(patch)
-        assert run("rx90 rig ramp", [*QUICK_RAMPS, "--output", str(out)]) == 0
-    return out
+    def make(folder: Path) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            leave_plots_out(patch)
+            assert run("rx90 rig ramp", [*QUICK_RAMPS, "--output", str(folder / "run")]) == 0
+
+    return made_once(tmp_path_factory, "ramps", make) / "run"
 
 
 def test_report_page_and_estimates_are_complete(ramps: Path) -> None:

@@ -12,6 +12,7 @@ from report_pages import leave_plots_out
 from rig_bench import rig_file_with
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq
+from shared_files import made_once
 
 from friction_bench.experiment.four_way import STICTION
 from friction_bench.experiment.job import run_ramp
@@ -30,11 +31,13 @@ SPREADS = {"ramp_error: 0.02 ": "ramp_error: 0.0 ", "gain_error: 0.003": "gain_e
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of one measurement; its exit code 1 says that a joint's viscous friction below 0 is none."""
-    out = tmp_path_factory.mktemp("source") / "out"
-    with pytest.MonkeyPatch.context() as patch:
-        leave_plots_out(patch)
-        assert run("rx90 rig source", ["--output", str(out)]) == 1
-    return out
+
+    def make(folder: Path) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            leave_plots_out(patch)
+            assert run("rx90 rig source", ["--output", str(folder / "out")]) == 1
+
+    return made_once(tmp_path_factory, "source", make) / "out"
 
 
 def by_source(out: Path) -> Any:
