@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from full_friction import TEMPERATURE
 from own_model import by_model, with_friction
+from parted_joint import steady
 from scipy.integrate import solve_ivp
 
 from rx90_common.base.arrays import Array
@@ -209,18 +210,10 @@ def test_load_ripple_and_temperature_are_those_of_the_set_point(shipped: Setup, 
         there[None], VELOCITY[None], np.zeros((1, 6)),
     )[0]  # fmt: skip
     transmitted = np.array([*weight[:4], weight[4] - weight[5], weight[5], weight[5]])
-    want = []
-    for element, v, q, size in zip(elements, INPUTS @ VELOCITY, INPUTS @ there, transmitted, strict=True):
-        driving, sign = size * v >= 0.0, "positive" if v >= 0.0 else "negative"
-        cooler = WARM.start - WARM.reference
-        wave = 1.0 + 0.2 * math.cos(3.0 * q + 0.4)
-        coulomb, static = element.parameters[f"tau_c_{sign}"], element.parameters[f"tau_s_{sign}"]
-        static = wave * (coulomb + (static - coulomb) * (1.0 + WARM.static_slope * cooler))
-        share = load.driving if driving else load.driven
-        rise = static - wave * coulomb + abs(size) * (load.stribeck_driving if driving else load.stribeck_driven)
-        stribeck = math.exp(-((abs(v) / (element.omega_s * (1.0 + WARM.speed_slope * cooler))) ** element.delta))
-        viscous = element.c2 * (0.3 + 0.7 * math.exp(-cooler / WARM.viscous_scale)) * v
-        want.append(math.copysign(wave * coulomb + share * abs(size) + rise * stribeck, v) + viscous)
+    want = [
+        steady(element, v, size, WARM.start, wave=1.0 + 0.2 * math.cos(3.0 * q + 0.4))
+        for element, v, q, size in zip(elements, INPUTS @ VELOCITY, INPUTS @ there, transmitted, strict=True)
+    ]
     assert got == pytest.approx(INPUTS.T @ np.array(want), rel=2e-3)
     assert np.abs(transmitted).max() > 20.0
 

@@ -100,3 +100,25 @@ def any_element(rng: np.random.Generator, **parts: Any) -> FrictionElement:
     }
     element = FrictionElement.of({**values, **parts})
     return element.replaced(c1=0.9 * element.passive_damping(SPEED))
+
+
+def steady(element: FrictionElement, v: float, load: float = 0.0, warm: float = 0.0, wave: float = 1.0) -> float:
+    """Return the torque of steady sliding by the equations of Bittencourt and Gunnarsson, and BAM's quadratic term."""
+    sign, part, driving = "positive" if v >= 0 else "negative", element.load, load * v >= 0
+    coulomb, static = (element.parameters[f"{name}_{sign}"] for name in ("tau_c", "tau_s"))
+    rise, speed, omega_s, viscous = static - coulomb, abs(v), element.omega_s, float(element.viscous_torque(abs(v)))
+    if (law := element.temperature) is not None:
+        above = min(warm, law.highest) - law.reference
+        rise *= 1 + law.static_slope * above
+        omega_s *= 1 + law.speed_slope * above
+        viscous *= law.viscous_floor + (1 - law.viscous_floor) * np.exp(-above / law.viscous_scale)
+    dry = wave * (coulomb + rise * np.exp(-((speed / omega_s) ** element.delta)))
+    if part is not None:
+        k, s, m = (
+            (part.driving, part.stribeck_driving, part.quadratic_driving)
+            if driving
+            else (part.driven, part.stribeck_driven, part.quadratic_driven)
+        )
+        fading = np.exp(-((speed / (part.omega_s or omega_s)) ** element.delta))
+        dry += k * abs(load) + (s * abs(load) + m * load**2) * fading
+    return float(np.sign(v) * (dry + viscous))

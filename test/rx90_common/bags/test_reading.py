@@ -36,7 +36,7 @@ def recordings(draw: Any) -> tuple[list[str], tuple[bool, bool, bool], list[dict
     return names, present, messages
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(recordings(), st.booleans())
 def test_arrays_are_what_was_written(recording: Any, ros1: bool) -> None:
     """Whatever the names, their order, the arrays present and the numbers, reading gives the written bits."""
