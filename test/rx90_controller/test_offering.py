@@ -59,14 +59,12 @@ def ways(rig: Rig) -> Iterator[Ways]:
         yield ways
 
 
-def message(
-    rig: Rig, count: int, last: float, start: float = 0.0, target: float = 0.02, base: float = 0.0
-) -> SimpleNamespace:
-    """Return a trajectory of some points, s, from `base` to `target`, rad, with all velocities."""
+def message(rig: Rig, count: int, last: float, start: float = 0.0) -> SimpleNamespace:
+    """Return a trajectory of some points, s, from 0 to 0.02 rad, with all velocities."""
     times = np.linspace(0.0, last, count + 1)[1:]
     share = times / last
-    positions = base + (target - base) * (10 * share**3 - 15 * share**4 + 6 * share**5)
-    velocities = (target - base) * (30 * share**2 - 60 * share**3 + 30 * share**4) / last
+    positions = 0.02 * (10 * share**3 - 15 * share**4 + 6 * share**5)
+    velocities = 0.02 * (30 * share**2 - 60 * share**3 + 30 * share**4) / last
     velocities[-1] = 0.0
     return trajectory(times, positions, velocities, start=start, names=rig.names)
 
@@ -144,24 +142,6 @@ def test_what_the_time_was_too_short_for_is_joined_again_beside_the_ticks(ways: 
     rig.loop.receive(message(rig, 30, 1.5, start=start))
     assert ways.beside == [True, True]
     assert "accepted" in rig.around.lines[-1]
-
-
-@pytest.mark.parametrize("count", [4, 40])
-def test_of_a_trajectory_that_has_begun_the_rest_is_followed(ways: Ways, count: int) -> None:
-    """As by joint_trajectory_controller: a stamp that is over leaves the points still to come; none: it is refused."""
-    rig = ways.rig
-    ways.run(500)
-    ways.meanwhile = lambda _: None
-    rig.loop.receive(message(rig, count, 2.0, start=0.1))
-    assert "accepted" in rig.around.lines[-1]
-    ways.run(1700)
-    assert rig.cs7b.trajectory.setpoints(2100)[0, 0] == pytest.approx([0.02] * 6)
-    assert not rig.cs7b.trajectory.moving(2100)
-    rig.loop.receive(message(rig, count, 2.0, start=0.1))
-    assert rig.around.lines[-1] == (
-        "trajectory rejected: the last point is at 2.1 s, the controller's time is 2.2 s; accepted: points later than "
-        "that"
-    )
 
 
 @pytest.mark.parametrize(
