@@ -79,7 +79,6 @@ def shipped_files() -> RobotFiles:
 
 
 def _need_messages(package: str) -> None:
-    """Skip where messages are not built, which a compiler is needed for; fail where packages are required."""
     from rx90_common.exchange.ros_start import missing_messages
 
     if line := missing_messages(package):
@@ -98,7 +97,6 @@ def needs_manager() -> None:
 
 @pytest.fixture(scope="session")
 def needs_tf() -> None:
-    """Skip where tf2_msgs is not there, which a compiler is needed for; fail where packages are required."""
     try:
         import tf2_msgs.msg  # noqa: F401
     except ImportError as error:

@@ -39,8 +39,6 @@ def make_firmware(target: str, sources: Path, out: Path, *words: str) -> Path:
 
 @pytest.fixture(scope="session")
 def firmware(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Return a builder of a target's binary, once a session."""
-
     def build(target: str) -> Path:
         sources = REPOSITORY / "firmware"
         folder = made_once(tmp_path_factory, f"firmware_{target}", lambda out: make_firmware(target, sources, out))
@@ -51,8 +49,6 @@ def firmware(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 
 @pytest.fixture
 def make_mutant(tmp_path: Path, make_board: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a maker of a board with a firmware in which one text is replaced."""
-
     def make(target: str, file: str, old: str, new: str) -> Any:
         sources = tmp_path / "mutant"
         shutil.copytree(firmware_directory(), sources)
@@ -66,7 +62,6 @@ def make_mutant(tmp_path: Path, make_board: Callable[..., Any]) -> Callable[...,
 
 @pytest.fixture(scope="session")
 def shim(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Return a builder of what couples a simulator to these tests, once a session."""
     out = tmp_path_factory.mktemp("shims")
 
     def build(target: str) -> Path:
@@ -78,7 +73,6 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 
 @pytest.fixture
 def make_board(firmware: Callable[[str], Path], shim: Callable[[str], Path]) -> Iterator[Callable[..., Any]]:
-    """Return a maker of boards; simulators end with the test, whatever happens."""
     with ExitStack() as stack:
 
         def make(target: str, seed: int = 1, binary: Path | None = None) -> Any:

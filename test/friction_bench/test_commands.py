@@ -14,6 +14,7 @@ from launch_stub import build, ending, parameters
 from report_pages import leave_plots_out
 from rig_bench import greeted, rig_file_with, spoil
 from schema_faults import schema_faults
+from shared_files import made_once
 
 from friction_bench.experiment import job as ramp_job
 from friction_bench.experiment import selftest, session
@@ -39,12 +40,12 @@ def estimates(out: Path) -> Any:
 
 @pytest.fixture(scope="module")
 def ramps(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of one complete measurement of ramps, no-load and loaded."""
-    out = tmp_path_factory.mktemp("friction") / "run"
-    with pytest.MonkeyPatch.context() as patch:
-        leave_plots_out(patch)
-        assert run("rx90 rig ramp", [*QUICK_RAMPS, "--output", str(out)]) == 0
-    return out
+    def make(folder: Path) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            leave_plots_out(patch)
+            assert run("rx90 rig ramp", [*QUICK_RAMPS, "--output", str(folder / "run")]) == 0
+
+    return made_once(tmp_path_factory, "ramps", make) / "run"
 
 
 def test_report_page_and_estimates_are_complete(ramps: Path) -> None:
@@ -274,7 +275,6 @@ def test_launch_file_starts_the_node_with_parameters_that_it_has(monkeypatch: py
 
 
 def failed(client: RigClient) -> dict[str, str]:
-    """Return what was found in each check that fails; the rig is off afterwards, with no fault latched."""
     found = {check.name: check.found for check in self_test(client) if not check.good}
     assert not client.port.emulated.board.stage_on
     assert client.last.report.fault == Fault.NONE

@@ -79,10 +79,7 @@ def test_multibody_model_creeps_as_its_friction_asks() -> None:
 
 
 def test_comparison_has_the_experiment_and_the_source_s_own_input() -> None:
-    """Four velocities under the ramp, three under slope 1 from 2 s to the same torque; models differ before break-away.
-
-    An experiment that is the closed form, read by an encoder, differs from it by counts alone.
-    """
+    """Four velocities under the ramp, three under slope 1; a closed form read by an encoder differs by counts alone."""
     model, step = RampModel(0.2297, 0.0321, 6.3e-5, 0.55), np.pi / 252
     time = np.arange(0.0, 3.0, 0.02)
     record = RampRecord(time, np.floor(model.angle(time) / step + 0.5) * step, model.slope, step)
@@ -102,10 +99,7 @@ def test_comparison_has_the_experiment_and_the_source_s_own_input() -> None:
 
 
 def test_multibody_model_slides_with_the_friction_that_is_left() -> None:
-    """After break-away T s' + s = (smooth friction - f_c) / f_v, s being by how much it is slower than the closed form.
-
-    That is the difference of both equations of motion: static friction at first, falling, then none.
-    """
+    """After break-away T s' + s = (smooth friction - f_c) / f_v for s, by how much the closed form is faster."""
     model = RampModel(0.2297, 0.0321, 6.3e-5, 0.55, 0.02)
     static = model.coulomb + model.release
     levels = [-static, static, model.coulomb, model.coulomb]

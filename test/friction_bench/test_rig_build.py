@@ -30,11 +30,7 @@ def parts(drawing: str) -> dict[str, float]:
 
 
 def test_drawn_parts_give_the_scales_and_the_voltages_of_the_checklist() -> None:
-    """Ohm's law through both boards as drawn: the scales within 0.1 %, and what the page says to measure.
-
-    Source's board: DAC0808, LM324, ADC0804 give 0.2 and 0.25 Nm at code 255. Nano: ladder, divider and IPROPI at
-    450 µA/A give 0.2 Nm, and the ADC scale and current limit of the page's command.
-    """
+    """Ohm's law through both boards as drawn: the scales within 0.1 %, and what the page says to measure."""
     rig = load_rig(ROOT / "config/rig/gm8224.yaml")
     assert rig.emulation is not None
     r, nano = parts("rig_8051.svg") | parts("rig_power.svg"), parts("rig_nano.svg")
@@ -111,10 +107,7 @@ def test_a_library_made_with_other_figures_follows_them(tmp_path: Path) -> None:
 def test_a_figure_that_the_firmware_could_not_keep_ends_the_build(
     target: str, defines: str, reason: str, tmp_path: Path
 ) -> None:
-    """A figure out of range, a name that no source knows, or a pin for two signals is refused with what is accepted.
-
-    A misspelt name would leave the shipped limit in force, and two signals on one pin would drive against each other.
-    """
+    """A figure out of range, a name that no source knows, or a pin for two signals is refused with what is accepted."""
     done = make(target, tmp_path, defines)
     assert done.returncode != 0
     assert re.search(reason, done.stderr)

@@ -35,7 +35,6 @@ from friction_bench.rig.messages import (
 from friction_bench.rig.rig_file import Rig, load_rig
 from friction_bench.rig.serial_port import WRITE_TIMEOUT, SerialPort
 from rx90_common.base.errors import ConfigError
-from rx90_common.friction.parts.bristles import ElastoPlastic
 
 
 @pytest.mark.parametrize("bits", [16, 24])
@@ -148,19 +147,15 @@ WARM = "{reference: 30, lowest: 0, highest: 90, start: 25, ambient: 25, capacity
          "emulation.joint_spread is 0.05; accepted: 0"),
         ("gm8224_lugre", "omega_d: 1.0}", f"omega_d: 1.0, temperature: {WARM}}}",
          "joint_friction: lugre.temperature: the emulated rig cannot hold this"),
-        ("gm8224_lugre", "omega_d: 1.0}", "omega_d: 1.0, bristles: {kind: elasto_plastic, break_away: 0.7}}", ""),
     ],
 )  # fmt: skip
 def test_a_rig_file_that_describes_no_rig_is_refused(
     file: str, old: str, new: str, message: str, tmp_path: Path
 ) -> None:
-    """What does not go together is one line with the key; the joint may have other bristles than LuGre's."""
+    """What does not go together is one line with the key."""
     own = rig_file_with(tmp_path, f"rig/{file}.yaml", {old: new})
-    if message:
-        with pytest.raises(ConfigError, match=re.escape(message)):
-            load_rig(own)
-    else:
-        assert load_rig(own).emulation.joint.bristles == ElastoPlastic(break_away=0.7)
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        load_rig(own)
 
 
 def test_interrupted_ramp_is_stopped_by_the_host(client: RigClient, emulated: EmulatedRig) -> None:
@@ -217,7 +212,6 @@ def test_stop_overtakes_a_command_under_way(client: RigClient, emulated: Emulate
 
 @pytest.fixture
 def line(rig: Rig) -> Iterator[tuple[int, SerialPort]]:
-    """Return the far end of a pseudo-terminal, which does not block, and a port at its near end."""
     master, slave = os.openpty()
     try:
         tty.setraw(slave)

@@ -28,7 +28,6 @@ FRAMES = st.builds(Frame, BYTE, BYTE, st.binary(max_size=MAX_DECODED - 4))
 
 
 def crc_by_division(data: bytes) -> int:
-    """Return the CRC by bitwise polynomial division, as the standard defines it."""
     register = 0xFFFF
     for byte in data:
         for bit in range(7, -1, -1):
@@ -88,8 +87,6 @@ def test_one_or_two_flipped_bits_are_never_accepted(frame: Frame, data: st.DataO
 
 
 class NativeFrames:
-    """The firmware's frame functions, called one by one."""
-
     def __init__(self, folder: Path) -> None:
         self.library = ctypes.CDLL(shutil.copy(native_library(), folder))
         self.library.frame_receive.argtypes = (ctypes.c_uint8,)

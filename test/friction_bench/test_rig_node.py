@@ -2,7 +2,6 @@
 
 import signal
 import subprocess
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from itertools import pairwise
@@ -10,15 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
 from rig_bench import PatientRig
-from sensor_msgs.msg import JointState
+from ros_client import Client
 from std_srvs.srv import Trigger
 
 from friction_bench.rig.emulated import EmulatedRig
@@ -32,43 +25,27 @@ FAR_FROM_THE_END = 100
 
 
 class Session:
-    """A rig, the node that serves it, and a client, on the domain of the environment."""
-
     def __init__(self, rig: Rig, folder: Path, namespace: str = "", *arguments: str) -> None:
         self.name = f"{namespace}/friction_bench"
         self.pty = PatientRig(EmulatedRig(rig, 1), folder / "rig")
         self.log = folder / "log"
         self.arguments = ["--ros-args", "-p", f"port:={folder / 'rig'}", *arguments]
         self.start()
-        self.context = Context()
-        rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = rclpy.create_node("test_client", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.states: list[JointState] = []
-        self.diagnostics: list[DiagnosticArray] = []
-        self.node.create_subscription(JointState, f"{self.name}/joint_states", self.states.append, 100)
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
+        self.client = Client()
+        self.states = self.client.listen(f"{self.name}/joint_states")
+        self.diagnostics = self.client.listen("/diagnostics", DiagnosticArray)
 
     def start(self) -> None:
         with self.log.open("a") as stream:
             self.process = subprocess.Popen(executable("friction_bench", *self.arguments), stdout=stream, stderr=stream)
 
-    def until(self, condition: Callable[[], bool], timeout: float = TIMEOUT) -> None:
-        end = time.monotonic() + timeout
-        while not condition():
-            assert time.monotonic() < end, self.log.read_text()
-            self.executor.spin_once(timeout_sec=0.02)
+    def until(self, condition: Callable[[], bool]) -> None:
+        self.client.spin_until(condition, f"what the node of {self.log} should do")
 
     def call(self, name: str) -> Any:
-        client = self.node.create_client(Trigger, f"{self.name}/{name}")
-        self.until(client.service_is_ready)
-        answer = client.call_async(Trigger.Request())
-        self.until(answer.done)
-        return answer.result()
+        return self.client.asking.call(Trigger, f"{self.name}/{name}", Trigger.Request())
 
     def heard(self, count: int) -> None:
-        """Listen until so many states have come, whose stamps are ticks of 20 ms."""
         self.until(lambda: len(self.states) >= count)
         stamps = [state.header.stamp.sec * 10**9 + state.header.stamp.nanosec for state in self.states]
         assert all(b > a and (b - a) % 20_000_000 == 0 for a, b in pairwise(stamps))
@@ -78,7 +55,6 @@ class Session:
         return self.pty.emulated.board.stage_on
 
     def fault_is_latched_until_cleared(self) -> None:
-        """Hold the rig, which has lost its host, to what it must do and say."""
         self.until(lambda: bool(self.diagnostics) and "silent" in self.diagnostics[-1].status[0].message)
         assert not self.call("arm").success
         self.insist("clear", "arm")
@@ -120,19 +96,15 @@ class Session:
         return len(angles) == 1 and abs(angles.pop() - rig.plant.angle) <= rig.rig.angle_step
 
     def close(self) -> None:
-        """End the node by its own pid, the rig and the client."""
         if self.process.poll() is None:
             self.process.kill()
         self.process.wait()
         self.pty.close()
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.context.try_shutdown()
+        self.client.close()
 
 
 @pytest.fixture
 def make(rig: Rig, tmp_path: Path, ros_domain: int, warm: None) -> Iterator[Callable[..., Session]]:  # noqa: ARG001 - a domain of its own
-    """Return a maker of nodes that report their rigs, in namespaces, on a domain of the test's own."""
     with ExitStack() as stack:
 
         def start(side: str = "") -> Session:
@@ -165,20 +137,6 @@ def test_two_rigs_beside_each_other_know_nothing_of_each_other(make: Callable[..
         turning.until(turning.rests)
 
 
-def refuse_a_torque_beyond_the_firmware(session: Session) -> None:
-    """Set an end torque that the parameter takes and the firmware does not: the ramp is refused."""
-    setter = session.node.create_client(SetParameters, f"{session.name}/set_parameters")
-    session.until(setter.service_is_ready)
-    for value in (0.19, 0.15):
-        double = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
-        parameters = [Parameter(name="ramp_end_torque", value=double)]
-        answer = setter.call_async(SetParameters.Request(parameters=parameters))
-        session.until(answer.done)
-        assert answer.result().results[0].successful
-        if value > 0.18:
-            assert "accepted by the firmware" in session.call("run_ramp").message
-
-
 def test_services_and_parameters_move_the_rig_and_a_frozen_node_does_not(session: Session) -> None:
     """Arm, ramp and stop work over services; states carry the firmware's 20 ms; a stop ends the torque."""
     assert not session.call("run_ramp").success
@@ -187,7 +145,9 @@ def test_services_and_parameters_move_the_rig_and_a_frozen_node_does_not(session
     session.until(lambda: not session.stage_on)
     session.heard(len(session.states) + 4)
     assert all(len(s.position) == len(s.velocity) == len(s.effort) == 1 for s in session.states)
-    refuse_a_torque_beyond_the_firmware(session)
+    assert session.client.set_parameters("friction_bench", ramp_end_torque=0.19) == [""]
+    assert "accepted by the firmware" in session.call("run_ramp").message
+    assert session.client.set_parameters("friction_bench", ramp_end_torque=0.15) == [""]
     session.insist("arm")
     session.lose_the_host(signal.SIGSTOP)
     session.until(lambda: not session.stage_on)

@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bristle_oracles import ElastoPlasticOracle
+from lugre_oracle import LuGreOracle
 from scipy.integrate import solve_ivp
 
 from friction_bench.rig.plant import RigPlant, Shaft, turn
@@ -16,7 +18,6 @@ from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 
 @pytest.fixture(scope="module")
 def lugre_rig() -> Rig:
-    """Return the shipped rig whose joint has bristles, without errors of its amplifier and friction of its motor."""
     rig = load_rig(config_path("rig/gm8224_lugre.yaml"))
     return rig.replaced(
         emulation={"amplifier": {"gain_error": 0.0, "torque_noise": 0.0}, "motor_friction": {"coulomb": 0.0}}
@@ -74,15 +75,6 @@ def test_back_emf_limits_the_torque(rig: Rig) -> None:
     assert plant.motor_torque(0.15, 1e-3) == 0.0
 
 
-def elastic_share(y: float, steady: float, elastic: float) -> float:
-    """Return Dupont's alpha: 0 up to break-away, 1 in steady sliding, half a sine between."""
-    if y <= elastic:
-        return 0.0
-    if y >= steady:
-        return 1.0
-    return 0.5 + 0.5 * math.sin(math.pi * (y - 0.5 * (steady + elastic)) / (steady - elastic))
-
-
 @pytest.mark.parametrize("bristles", [None, ElastoPlastic(break_away=0.5)], ids=["LuGre", "elasto-plastic"])
 def test_the_rigs_joint_moves_as_scipy_integrates_it(lugre_rig: Rig, bristles: ElastoPlastic | None) -> None:
     """Under a torque in steps the joint moves as equations 17 to 19 say, with other bristles, too."""
@@ -97,16 +89,15 @@ def test_the_rigs_joint_moves_as_scipy_integrates_it(lugre_rig: Rig, bristles: E
     inertia = rig.emulation.load_inertia + rig.emulation.joint_inertia
     inertia += rig.emulation.motor.rotor_inertia * rig.gear.ratio * rig.joint_scale
 
+    whole = joint.replaced(c2=joint.c2 + of_motor)
+    lugre, elasto_plastic = LuGreOracle((whole,)), ElastoPlasticOracle(whole, 0.5)
+
     def motion(_: float, state: Array, torque: float) -> list[float]:
         _, v, z = state
-        rise = joint.tau_s.positive - joint.tau_c.positive
-        steady = (joint.tau_c.positive + rise * math.exp(-abs(v) / joint.omega_s)) / joint.c0
-        sense = math.copysign(1.0, v)
-        alpha = 1.0
-        if bristles is not None:
-            alpha = elastic_share(sense * z, steady, 0.5 * joint.tau_c.positive / joint.c0)
-        z_dot = v * (1.0 - alpha * sense * z / steady)
-        friction = joint.c0 * z + joint.c1 * math.exp(-((v / joint.omega_d) ** 2)) * z_dot + (joint.c2 + of_motor) * v
+        if bristles is None:
+            z_dot, friction = (float(values[0]) for values in lugre.rates(state[2:], state[1:2]))
+        else:
+            z_dot, friction = elasto_plastic.rate(z, v), elasto_plastic.torque(z, v)
         return [v, (torque * rig.joint_scale - friction) / inertia, z_dot]
 
     state, found, expected = np.zeros(3), [], []

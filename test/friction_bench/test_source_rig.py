@@ -12,6 +12,7 @@ from report_pages import leave_plots_out
 from rig_bench import rig_file_with
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq
+from shared_files import made_once
 
 from friction_bench.experiment.four_way import STICTION
 from friction_bench.experiment.job import run_ramp
@@ -30,11 +31,13 @@ SPREADS = {"ramp_error: 0.02 ": "ramp_error: 0.0 ", "gain_error: 0.003": "gain_e
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of one measurement; its exit code 1 says that a joint's viscous friction below 0 is none."""
-    out = tmp_path_factory.mktemp("source") / "out"
-    with pytest.MonkeyPatch.context() as patch:
-        leave_plots_out(patch)
-        assert run("rx90 rig source", ["--output", str(out)]) == 1
-    return out
+
+    def make(folder: Path) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            leave_plots_out(patch)
+            assert run("rx90 rig source", ["--output", str(folder / "out")]) == 1
+
+    return made_once(tmp_path_factory, "source", make) / "out"
 
 
 def by_source(out: Path) -> Any:
@@ -55,11 +58,7 @@ def test_published_friction_lies_within_the_spread_of_the_ramps(measured: Path) 
 
 
 def test_models_differ_by_creep_and_the_experiment_by_its_spread(measured: Path) -> None:
-    """Experiment and models stay within 7 % and 10 %; the models differ at break-away by the creep of smooth friction.
-
-    While they slide, friction differs at most by what the torque at break-away is above f_c: three standard deviations
-    of the rig's spread.
-    """
+    """Experiment and models stay within 7 % and 10 %; models differ by creep, and sliding by the rig's spread."""
     pairs = yaml.safe_load((measured / "estimates.yaml").read_text())["comparison"]
     found = {(pair["first"], pair["second"]): pair for pair in pairs}
     assert 0.1 < found["experiment", "block diagram"]["sliding"] <= found["experiment", "block diagram"]["worst"]
@@ -113,7 +112,6 @@ class CountingBoard(NativeBoard):
     times = 0
 
     def switched_on(self) -> bool:
-        """Return whether the stage came on, and count it."""
         came = super().switched_on()
         self.times += came
         return came

@@ -25,8 +25,6 @@ def _t(values: np.ndarray) -> str:
 
 @pytest.fixture
 def random_arm(tmp_path: Path) -> Callable[[int], Path]:
-    """Return a function that writes a serial 6R arm with random frames, axes and inertias."""
-
     def write(seed: int) -> Path:
         rng = np.random.default_rng(seed)
         parts = ['<robot name="random"><link name="ground"/>']

@@ -22,11 +22,7 @@ FREE = 1e9
 
 @dataclasses.dataclass
 class Servo:
-    """A controller and six rigid rotors of inertia `inertia` that feel nothing but their motors.
-
-    Between ticks the rotors move exactly as bodies under constant torque. Measured are position and velocity,
-    without encoder and observer.
-    """
+    """A controller and six rotors of an inertia, which move exactly as bodies under constant torque."""
 
     controller: CS7B
     inertia: Array

@@ -1,7 +1,4 @@
-"""The six servo loops on one inertia against independent answers; saturation, feed-forward, and the supervision.
-
-Joint 5 stays at rest wherever joint 6 is looked at, because motor 6 follows q5 + q6.
-"""
+"""The six servo loops on one inertia against independent answers; saturation, feed-forward, and the supervision."""
 
 import dataclasses
 import math
@@ -10,14 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from joint_moves import NAMES
-from unchecked import unchecked
+from joint_moves import NAMES, ZERO, points
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import SupervisionError
 from rx90_common.base.rates import Rates
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
 MakeServo = Callable[..., Any]
@@ -28,16 +22,13 @@ KP, KV, KI, INERTIA, BANDWIDTH, PEAK = 40.0, 300.0, 1e5, 2.0, 800.0, 12.0
 
 
 def step_to(servo: Any, target: Array) -> None:
-    rows, rest = [target, target], [[0.0] * 6] * 2
-    servo.controller.trajectory.accept(
-        TrajectoryPoints.create(NAMES, NAMES, [0.0, 1e-3], rows, rest, [[], []]), 0, None
-    )
+    servo.controller.trajectory.accept(points([0.0, 1e-3], [target, target], [ZERO, ZERO]), 0, None)
 
 
 def ramp(servo: Any, speed: Array, seconds: float) -> None:
     times, end = [0.0, seconds, seconds + 0.1], speed * seconds
-    rows, rates = [[0.0] * 6, end, end + 0.05 * speed], [speed, speed, [0.0] * 6]
-    servo.controller.trajectory.accept(TrajectoryPoints.create(NAMES, NAMES, times, rows, rates, [[]] * 3), 0, None)
+    rows, rates = [ZERO, end, end + 0.05 * speed], [speed, speed, ZERO]
+    servo.controller.trajectory.accept(points(times, rows, rates), 0, None)
 
 
 def written_loop(
@@ -241,28 +232,3 @@ def test_each_joint_has_its_limits(shipped: Setup, joint: int, quantity: str, si
     assert fault.time == 12 * 250e-6
     controller.reset(np.zeros(6))
     assert controller.fault is None
-
-
-def weak(setup: Setup, following_error: float) -> Setup:
-    """Return a setup whose motor 2 is too weak for the motion, with another limit of the following error."""
-    drives = setup.drives.replaced(motor={"peak_current": setup.drives.peak_current * [1, 0.15, 1, 1, 1, 1]})
-    controller = unchecked(setup.controller, supervision={"following_error": np.full(6, following_error)})
-    return dataclasses.replace(setup, drives=drives, controller=controller)
-
-
-def test_a_run_ends_where_the_error_goes_beyond_its_limit(shipped: Setup) -> None:
-    """The closed loop ends with an error in the tick in which the same run without supervision is 0.05 rad off."""
-    names, home = shipped.robot.joint_names, np.array([0.1, 0.3, 1.1, -0.2, 0.7, 0.3])
-    turn = home + 0.08 * np.array([1, -1, 1, -1, 1, -1])
-    points = TrajectoryPoints.create(names, names, [0.0, 0.3, 0.6], [home, turn, home], [[0.0] * 6] * 3, [[]] * 3)
-    error = simulate(weak(shipped, 10.0), points).slow.tracking_error[:, 0]
-    beyond = np.abs(error) > 0.05
-    first = int(np.argmax(beyond.any(axis=1)))
-    assert first > 0
-    joint = int(np.argmax(beyond[first]))
-    with pytest.raises(SupervisionError) as caught:
-        simulate(weak(shipped, 0.05), points)
-    assert str(caught.value) == (
-        f"joint_{joint + 1}: following error {error[first, joint]:.4g} rad at {first / 1000:.6g} s; "
-        "accepted: up to 0.05 rad; the controller's supervision has cut the power"
-    )

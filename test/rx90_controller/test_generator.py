@@ -30,11 +30,7 @@ def test_each_end_is_told_once(generator: TrajectoryGenerator) -> None:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_what_points_do_not_carry_is_interpolated_as_by_joint_trajectory_controller(seed: int) -> None:
-    """Between two points: quintic if both have accelerations, cubic if both have velocities, else a straight line.
-
-    The lines' velocity changes by ramps, from and to that of the curves beside them; a velocity between two lines
-    counts for nothing, and what is taken, made a message again, is the same motion.
-    """
+    """Quintic if both points have accelerations, cubic if both have velocities, else a line with ramps."""
     random = np.random.default_rng(seed)
     times = np.cumsum(random.uniform(0.8, 1.2, 7)) * (np.arange(7) > 0)
     moves = random.random(7) < 0.6
@@ -81,13 +77,11 @@ class Reference:
         self.begin(HOME)
 
     def begin(self, hold: Array) -> None:
-        """Hold a position, with nothing to follow."""
         self.running, self.start = TrajectoryGenerator(LIMITS, PERIOD, hold), 0
         self.length = 0
         self.waiting: tuple[int, int, TrajectoryGenerator] | None = None
 
     def setpoint(self, tick: int) -> Array:
-        """Return the set-point of a tick, the trajectory that waits begun if it is its time."""
         if self.waiting is not None and tick >= self.waiting[0]:
             (self.start, self.length, self.running), self.waiting = self.waiting, None
         return self.running.setpoints(tick - self.start)[0]

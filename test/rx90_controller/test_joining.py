@@ -19,7 +19,6 @@ LIMITS = JointLimits(NAMES, np.full(6, -3.0), np.full(6, 3.0), np.full(6, 4.0), 
 
 @pytest.fixture
 def generator() -> TrajectoryGenerator:
-    """Return a generator that moves every joint by 0.4 rad in a second, from tick 0 on."""
     generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
     generator.accept(points([1.0], [HOME + 0.4], [ZERO]), 0, None)
     return generator

@@ -21,11 +21,6 @@ from rx90_controller.lines.plan import Approach, LinePlan, plan_line
 from rx90_controller.lines.task import LineTask, TrapezoidalProfile, load_task
 from rx90_emulator.loop.setup import Setup
 
-TURNING = LineTask(
-    start=(0.5, -0.2, 0.4), end=(0.55, 0.15, 0.3), start_rpy=(0.0, 2.7, 0.1), end_rpy=(0.6, 2.2, -0.4),
-    speed=0.25, acceleration=3.0, rest_before=0.1234567, rest_after=0.05,
-)  # fmt: skip
-
 
 @pytest.fixture(scope="module")
 def task() -> LineTask:
@@ -35,30 +30,6 @@ def task() -> LineTask:
 def _spline(plan: LinePlan) -> BPoly:
     values = np.stack([plan.position, plan.velocity, plan.acceleration], axis=1)
     return BPoly.from_derivatives(plan.times, list(values))
-
-
-def _integrated(task: LineTask, times: np.ndarray) -> np.ndarray:
-    """Return the distance along the line, integrated from the speed of a trapezoid coded here."""
-    ramp = task.speed / task.acceleration
-    end = task.length / task.speed + ramp
-    fine = np.linspace(0.0, end, 400_001)
-    speed = np.minimum(task.speed, task.acceleration * np.minimum(fine, end - fine))
-    steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(fine)
-    distance = np.concatenate([[0.0], np.cumsum(steps)])
-    return np.interp(times - task.rest_before, fine, distance)
-
-
-@pytest.mark.parametrize("which", ["reference", "turning"])
-def test_interpolated_tip_is_on_the_line_at_the_right_time(shipped: Setup, task: LineTask, which: str) -> None:
-    """Between all knots the tip is within 0.1 µm of the trapezoidal motion along the line."""
-    line = task if which == "reference" else TURNING
-    plan = plan_line(shipped.robot, line)
-    times = np.linspace(0.0, plan.duration, 20_001)
-    tip = forward(shipped.robot.chain, _spline(plan)(times)).position
-    error = path_error(tip, np.array(line.start), np.array(line.end))
-    assert error.perpendicular.max() < 1e-7
-    np.testing.assert_allclose(error.along, _integrated(line, times), atol=1.01e-7)
-    assert plan.tip_error <= 1e-7
 
 
 def test_rest_is_exactly_still(shipped: Setup, task: LineTask) -> None:

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -16,7 +17,6 @@ from scipy.optimize import least_squares
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import LineError
 from rx90_common.base.share import config_path
-from rx90_common.description.inverse import SphericalWristArm
 from rx90_common.description.joint_model import robot_of_urdf
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines.plan import LinePlan, describe_line, plan_line
@@ -78,24 +78,31 @@ def plan(seven: RobotModel) -> LinePlan:
     return plan_line(seven, _line(seven, turn=TURN))
 
 
-def test_seven_joints_keep_place_and_orientation_between_the_knots(seven: RobotModel, plan: LinePlan) -> None:
+@pytest.fixture(scope="module", params=["seven joints", "closed form", "closed form, the tool turns"])
+def planned(request: pytest.FixtureRequest, seven: RobotModel, plan: LinePlan, shipped: Setup) -> Any:
+    if request.param == "seven joints":
+        return seven, plan
+    line = load_task(config_path("robots/rx90b/task.yaml"))
+    turning = replace(line, start=(0.5, -0.2, 0.4), end=(0.55, 0.15, 0.3), speed=0.25, acceleration=3.0,
+                      start_rpy=(0.0, 2.7, 0.1), end_rpy=(0.6, 2.2, -0.4), rest_before=0.1234567)  # fmt: skip
+    return shipped.robot, plan_line(shipped.robot, turning if "turns" in request.param else line)
+
+
+def test_place_and_orientation_are_kept_between_the_knots(planned: tuple[RobotModel, LinePlan]) -> None:
     """By Pinocchio, SciPy's quintics through the knots keep 0.1 µm and 1 µrad of the line all the way, in time."""
+    robot, plan = planned
     times, angles = _between_knots(plan, 1501)
     places, rotations = _asked(plan.task, times)
     for q, place, rotation in zip(angles, places, rotations, strict=True):
-        there, turned = _pose(seven, q)
+        there, turned = _pose(robot, q)
         assert np.linalg.norm(there - place) < 1.01e-7
         assert np.linalg.norm(pin.log3(turned.T @ rotation)) < 1e-6
+    assert plan.tip_error <= 1e-7
 
 
-@pytest.mark.parametrize("arm", ["seven joints", "closed form", "closed form, the tool turns"])
-def test_knots_carry_the_derivatives_of_exact_positions(plan: LinePlan, shipped: Setup, arm: str) -> None:
+def test_knots_carry_the_derivatives_of_exact_positions(planned: tuple[RobotModel, LinePlan]) -> None:
     """Away from the corners of the profile, velocities and accelerations are differences of exact positions."""
-    if arm != "seven joints":
-        line = load_task(config_path("robots/rx90b/task.yaml"))
-        turning = replace(line, start=(0.5, -0.2, 0.4), end=(0.55, 0.15, 0.3), speed=0.25, acceleration=3.0,
-                          start_rpy=(0.0, 2.7, 0.1), end_rpy=(0.6, 2.2, -0.4))  # fmt: skip
-        plan = plan_line(shipped.robot, turning if "turns" in arm else line)
+    _, plan = planned
     task, h = plan.task, 1e-4
     profile = task.profile()
     inner = np.abs(plan.times[:, None] - task.rest_before - np.array(profile.corners)).min(axis=1) > 2.5 * h
@@ -109,10 +116,7 @@ def test_knots_carry_the_derivatives_of_exact_positions(plan: LinePlan, shipped:
 
 
 def test_seven_joints_move_with_the_least_speed(seven: RobotModel, plan: LinePlan) -> None:
-    """The path is that of the pseudo-inverse of Pinocchio's Jacobian, integrated by SciPy, to 1e-9 rad.
-
-    The redundancy thus shows: the same line from another posture of the same pose is another path.
-    """
+    """To 1e-9 rad the path of the pseudo-inverse of Pinocchio's Jacobian, by SciPy; another posture, another path."""
     task, data = plan.task, seven.model.createData()
     frame = seven.model.getFrameId(seven.tcp_frame)
     first, last = (pin.rpy.rpyToMatrix(*rpy) for rpy in (task.start_rpy, task.end_rpy))
@@ -153,18 +157,6 @@ def test_five_joints_keep_place_and_direction_of_the_tool(tmp_path: Path) -> Non
     assert not plan.velocity[-1].any()
 
 
-def test_newton_steps_along_a_line_agree_with_the_closed_form(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On the RX90B's reference line, begun near its posture, all three tables agree with the closed form to 1e-9."""
-    task = load_task(config_path("robots/rx90b/task.yaml"))
-    exact = plan_line(shipped.robot, task)
-    monkeypatch.setattr(SphericalWristArm, "from_chain", staticmethod(lambda _: None))
-    near = tuple((exact.start_pose + 0.05 * np.cos(np.arange(6))).tolist())
-    found = plan_line(shipped.robot, replace(task, start_posture=near))
-    np.testing.assert_array_equal(found.times, exact.times)
-    for name in ("position", "velocity", "acceleration"):
-        np.testing.assert_allclose(getattr(found, name), getattr(exact, name), atol=1e-9)
-
-
 def _refusal(robot: RobotModel, task: LineTask) -> tuple[str, float]:
     with pytest.raises(LineError) as refusal:
         plan_line(robot, task)
@@ -175,10 +167,7 @@ def _refusal(robot: RobotModel, task: LineTask) -> tuple[str, float]:
 
 
 def test_a_line_into_the_singularity_or_beyond_the_reach_is_refused(seven: RobotModel) -> None:
-    """Straight away from the shoulder the smallest singular value, by NumPy on Pinocchio's Jacobian, falls below 0.05.
-
-    A start that no posture reaches says by how much it is missed: by what the arm lacks in length at least.
-    """
+    """Where the least singular value, by NumPy, falls below 0.05; a start out of reach tells what is missing."""
     outwards = np.array([0.9, 0.2, 0.1])
     message, place = _refusal(seven, _line(seven, outwards))
     assert "arm singularity" in message

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from full_friction import TEMPERATURE
 from own_model import by_model, with_friction
+from parted_joint import steady
 from scipy.integrate import solve_ivp
 
 from rx90_common.base.arrays import Array
@@ -45,7 +46,6 @@ def without_acceleration(setup: Setup) -> Setup:
 
 
 def friction_alone(setup: Setup) -> Setup:
-    """Return a setup whose controller feeds forward by its model of friction, and by no other part of the model."""
     return without_acceleration(by_model(setup, inverse_dynamics=False))
 
 
@@ -131,10 +131,7 @@ def test_a_friction_model_that_was_off_begins_undeflected(shipped: Setup) -> Non
 
 
 def held(setup: Setup, other: Setup, ticks: int) -> tuple[Array, Any]:
-    """Hold a pose for ticks, then for as many with another controller's constants.
-
-    Returns how far the joints go from the switch on, rad, shape (n, 6), and the controller's state.
-    """
+    """Return how far a held pose goes under another controller's constants, rad, (n, 6), and the state."""
     plant, controller = setup.plant(), setup.cs7b()
     pose = np.array([0.1, 0.5, 1.2, 0.2, 0.9, 0.3])
     plant.reset(pose)
@@ -183,7 +180,6 @@ WARM = TEMPERATURE.replaced(start=22.0, ambient=21.0, capacity=1e9, resistance=0
 
 
 def parted(setup: Setup, path: Path, **parts: Any) -> tuple[CS7B, tuple[FrictionElement, ...]]:
-    """Return a controller whose friction model alone is on, each element with these parts, and the elements."""
     elements = tuple(element.replaced(**parts) for element in setup.friction.elements)
     return with_friction(friction_alone(setup), elements, path / "friction.yaml").cs7b(), elements
 
@@ -214,18 +210,10 @@ def test_load_ripple_and_temperature_are_those_of_the_set_point(shipped: Setup, 
         there[None], VELOCITY[None], np.zeros((1, 6)),
     )[0]  # fmt: skip
     transmitted = np.array([*weight[:4], weight[4] - weight[5], weight[5], weight[5]])
-    want = []
-    for element, v, q, size in zip(elements, INPUTS @ VELOCITY, INPUTS @ there, transmitted, strict=True):
-        driving, sign = size * v >= 0.0, "positive" if v >= 0.0 else "negative"
-        cooler = WARM.start - WARM.reference
-        wave = 1.0 + 0.2 * math.cos(3.0 * q + 0.4)
-        coulomb, static = element.parameters[f"tau_c_{sign}"], element.parameters[f"tau_s_{sign}"]
-        static = wave * (coulomb + (static - coulomb) * (1.0 + WARM.static_slope * cooler))
-        share = load.driving if driving else load.driven
-        rise = static - wave * coulomb + abs(size) * (load.stribeck_driving if driving else load.stribeck_driven)
-        stribeck = math.exp(-((abs(v) / (element.omega_s * (1.0 + WARM.speed_slope * cooler))) ** element.delta))
-        viscous = element.c2 * (0.3 + 0.7 * math.exp(-cooler / WARM.viscous_scale)) * v
-        want.append(math.copysign(wave * coulomb + share * abs(size) + rise * stribeck, v) + viscous)
+    want = [
+        steady(element, v, size, WARM.start, wave=1.0 + 0.2 * math.cos(3.0 * q + 0.4))
+        for element, v, q, size in zip(elements, INPUTS @ VELOCITY, INPUTS @ there, transmitted, strict=True)
+    ]
     assert got == pytest.approx(INPUTS.T @ np.array(want), rel=2e-3)
     assert np.abs(transmitted).max() > 20.0
 

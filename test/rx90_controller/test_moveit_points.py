@@ -42,7 +42,6 @@ def generator_at(setup: Setup, position: Array) -> TrajectoryGenerator:
 
 
 def why(setup: Setup, points: TrajectoryPoints) -> str:
-    """Return why the controller refuses a trajectory; nothing if it takes it."""
     generator = generator_at(setup, points.position[0])
     try:
         generator.accept(points, 0, None)
@@ -71,7 +70,6 @@ def trapezoid(way: float, velocity: float, acceleration: float) -> tuple[Array, 
 
 
 def moves(velocity: Array, acceleration: Array) -> list[TrajectoryPoints]:
-    """Return point-to-point motions of each joint alone, short and long ones, at these limits."""
     found = []
     for joint, way in ((j, w) for j in range(6) for w in (0.02, 0.3, 1.1, 3.3)):
         t, s, v, a = trapezoid(way, velocity[joint], acceleration[joint])
@@ -111,7 +109,6 @@ def sent_by_pilz(line: TrajectoryPoints, velocity: Array, acceleration: Array) -
 
 
 def lines(setup: Setup) -> list[LinePlan]:
-    """Return lines at random at MoveIt's Cartesian limits, or slower."""
     text = Path(config_path("moveit/pilz_cartesian_limits.yaml")).read_text(encoding="utf-8")
     limits = yaml.safe_load(text)["cartesian_limits"]
     task, generator, plans = load_task(setup.files.required("task")), np.random.default_rng(7), []

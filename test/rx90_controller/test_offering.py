@@ -18,10 +18,7 @@ TICKS = 8  # that pass while a stamped trajectory is joined
 
 
 class Ways:
-    """Notes, of each trajectory that enters a generator, whether the lock of the ticks was free: `beside`.
-
-    Beside the ticks `meanwhile` is called, with the number of such calls before; by default it runs ticks.
-    """
+    """Notes whether the ticks' lock is free where a trajectory enters a generator, and calls `meanwhile`."""
 
     def __init__(self, rig: Rig) -> None:
         self.rig, self.beside, self.tick = rig, [], 0
@@ -33,7 +30,6 @@ class Ways:
         self.calls, self.meanwhile = 0, meanwhile
 
     def run(self, count: int) -> None:
-        """Run ticks of the position loop; the motors keep to the set-points."""
         for _ in range(count):
             gear = self.rig.cs7b
             self.rig.run(self.tick, gear.rates.ratio)
@@ -63,20 +59,17 @@ def ways(rig: Rig) -> Iterator[Ways]:
         yield ways
 
 
-def message(
-    rig: Rig, count: int, last: float, start: float = 0.0, target: float = 0.02, base: float = 0.0
-) -> SimpleNamespace:
-    """Return a trajectory of some points, s, from `base` to `target`, rad, with all velocities."""
+def message(rig: Rig, count: int, last: float, start: float = 0.0) -> SimpleNamespace:
+    """Return a trajectory of some points, s, from 0 to 0.02 rad, with all velocities."""
     times = np.linspace(0.0, last, count + 1)[1:]
     share = times / last
-    positions = base + (target - base) * (10 * share**3 - 15 * share**4 + 6 * share**5)
-    velocities = (target - base) * (30 * share**2 - 60 * share**3 + 30 * share**4) / last
+    positions = 0.02 * (10 * share**3 - 15 * share**4 + 6 * share**5)
+    velocities = 0.02 * (30 * share**2 - 60 * share**3 + 30 * share**4) / last
     velocities[-1] = 0.0
     return trajectory(times, positions, velocities, start=start, names=rig.names)
 
 
 def goal(rig: Rig, given: SimpleNamespace) -> mock.Mock:
-    """Offer a goal as the action does; return who has sent it."""
     sender = mock.Mock()
     rig.loop.offer(rig.goal(given, sender))
     return sender
@@ -149,24 +142,6 @@ def test_what_the_time_was_too_short_for_is_joined_again_beside_the_ticks(ways: 
     rig.loop.receive(message(rig, 30, 1.5, start=start))
     assert ways.beside == [True, True]
     assert "accepted" in rig.around.lines[-1]
-
-
-@pytest.mark.parametrize("count", [4, 40])
-def test_of_a_trajectory_that_has_begun_the_rest_is_followed(ways: Ways, count: int) -> None:
-    """As by joint_trajectory_controller: a stamp that is over leaves the points still to come; none: it is refused."""
-    rig = ways.rig
-    ways.run(500)
-    ways.meanwhile = lambda _: None
-    rig.loop.receive(message(rig, count, 2.0, start=0.1))
-    assert "accepted" in rig.around.lines[-1]
-    ways.run(1700)
-    assert rig.cs7b.trajectory.setpoints(2100)[0, 0] == pytest.approx([0.02] * 6)
-    assert not rig.cs7b.trajectory.moving(2100)
-    rig.loop.receive(message(rig, count, 2.0, start=0.1))
-    assert rig.around.lines[-1] == (
-        "trajectory rejected: the last point is at 2.1 s, the controller's time is 2.2 s; accepted: points later than "
-        "that"
-    )
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,6 @@ def circle() -> Path:
 
 @pytest.fixture(scope="module")
 def seam() -> Path:
-    """Return the shipped seam: lines, an arc and a spline, with blends."""
     return load_path("paths/seam.yaml")
 
 

@@ -29,14 +29,12 @@ def sent() -> SentTrajectory:
 
 
 def accepted(begin: float, places: Sequence[float] = tuple(PLACES)) -> JointTrajectory:
-    """Return what a controller publishes of a trajectory that begins at a time, s."""
     trajectory = message(places)
     trajectory.header.stamp = ros_time(round(begin * 1e9))
     return trajectory
 
 
 def taken() -> SentTrajectory:
-    """Return one that the controller has accepted, to begin at 20 s."""
     trajectory = sent()
     trajectory.take_acceptance(accepted(20.0))
     return trajectory

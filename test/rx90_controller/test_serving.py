@@ -99,7 +99,6 @@ class Loops:
         self.begun.append(states.stamp_ns // RATES.period_ns)
 
     def step(self, stamp: int, states: MotorStates) -> bool:
-        """Note the tick; the states must be whole, whatever came in between."""
         measured = states.stamp_ns // RATES.period_ns
         assert states.position[0] == states.velocity[0] == measured
         self.answered.append((stamp // RATES.period_ns, measured))

@@ -1,7 +1,4 @@
-"""The controller in operation, without ROS: held arm, trajectories and their tolerances, goals, torque on and off.
-
-Where the motors of the rig stand still, the error of a joint is its set-point: the cubic of the trajectory.
-"""
+"""The controller in operation, without ROS; where motors stand still, the error is the set-point, a cubic."""
 
 from collections.abc import Callable
 from typing import Any
@@ -19,10 +16,7 @@ RATIO = 4  # ticks for each of the position loop, which come every millisecond
 
 
 def test_a_trajectory_waits_for_the_first_states(rig: Rig) -> None:
-    """The newest of what comes before the first states is followed from their tick on; they are told of once.
-
-    The ticking thread only notes that, and leaves it to the executor's to print: a terminal may keep it waiting.
-    """
+    """The newest one is followed from their tick on; the executor tells of it: a terminal may hold up ticks."""
     rig.loop.receive(rig.trajectory(0.2))
     rig.loop.receive(rig.trajectory(0.1))
     waits = "a trajectory waits for the simulation's first tick"
@@ -178,10 +172,7 @@ def test_what_is_held_to_constraints(held: Callable[..., Rig]) -> None:
 
 @pytest.mark.parametrize(("block", "field"), [("servo", "kp"), ("servo", "ki"), ("feed_forward", "viscous_friction")])
 def test_a_torque_that_is_no_number_stops_the_arm(shipped: Setup, rig: Rig, block: str, field: str) -> None:
-    """One line names the joint, no torque that is not finite goes out, and enable after mending goes on.
-
-    The value comes past the checks, as one would by Python.
-    """
+    """One line names the joint, no torque that is not finite goes out, and enable after mending goes on."""
     huge = np.array(getattr(getattr(shipped.controller, block), field))
     huge[3] = 1e308 if field == "kp" else np.inf
     absurd = unchecked(shipped.controller, **{block: {field: huge}})

@@ -22,7 +22,6 @@ CURVE = CubicHermiteSpline(TIMES, WAY, SPEED)
 
 
 def following() -> TrajectoryGenerator:
-    """Return a generator that begins to follow the curve at tick 0."""
     generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
     generator.accept(points(TIMES, WAY, SPEED), 0, None)
     return generator

@@ -2,13 +2,13 @@
 
 import copy
 from typing import Any
-from unittest import mock
 
 import numpy as np
 import pytest
 from goal_arm import LIMITS, Law, message
 from joint_moves import HOME, NAMES, PERIOD, ZERO, stamp, trajectory
 from numpy.random import Generator
+from servo_rig import Surroundings
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
@@ -125,7 +125,6 @@ class Drives(Law):
     release = reset
 
     def step(self, *_: object) -> None:
-        """Run a tick; find a fault where there is one."""
         super().step()
         if self.broken:
             self.fault = DriveFault(NAMES[0], "speed", 9.0, 5.0, "rad/s", 0.0)
@@ -133,16 +132,12 @@ class Drives(Law):
 
 
 class Play:
-    """A controller that is given events at random, and what must hold of it, kept beside it.
-
-    Attributes:
-        on: whether ticks give torque, by the events alone.
-    """
+    """A controller given random events, and what must hold; `on`: ticks give torque, by the events alone."""
 
     def __init__(self, random: Generator) -> None:
-        self.random, self.law, self.outputs = random, Drives(), mock.Mock()
+        self.random, self.law = random, Drives()
         law: Any = self.law
-        self.loop = ServoLoop(law, self.outputs, 60.0, 1)
+        self.loop = ServoLoop(law, Surroundings(), 60.0, 1)
         self.goals: list[TrajectoryRequest] = []
         self.ends: list[TrajectoryRequest] = []
         self.setpoints: list[Array] = [self.law.setpoint]

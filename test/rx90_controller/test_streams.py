@@ -32,8 +32,6 @@ Delivery = tuple[float, Any]
 
 
 class Arm(Rig):
-    """A servo loop whose motors are where the set-points are; it keeps these."""
-
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
         self.limits, self._drives = self.cs7b.trajectory.limits, setup.drives
@@ -82,7 +80,6 @@ def arm(shipped: Setup) -> Arm:
 
 
 def state(position: Any = (), velocity: Any = (), stamp: float = 0.0, **other: Any) -> SimpleNamespace:
-    """Return a JointState; one number counts for all joints."""
     names = other.get("names", [f"joint_{i}" for i in range(1, 7)])
     rows = [[float(row)] * len(names) if np.isscalar(row) else list(row)
             for row in (position, velocity, other.get("effort", ()))]  # fmt: skip
@@ -135,10 +132,7 @@ def test_it_arrives_however_it_is_stamped(arm: Arm, shipped: Setup) -> None:
 def test_whatever_is_streamed_the_limits_are_kept_and_the_end_is_rest(
     shipped: Setup, seed: int, spread: float, interface: str
 ) -> None:
-    """Random set-points, at random times, beyond all limits, of both interfaces: within the limits, and then at rest.
-
-    A position is reached unless it lies beyond a limit, where the arm stops at that.
-    """
+    """Random set-points at random times beyond all limits: within them, then at rest, there if that is within."""
     random, limits = np.random.default_rng(seed), shipped.controller.limits(shipped.robot)
     every = np.ones(6, dtype=bool)
     generator, parts = TrajectoryGenerator(limits, T, np.zeros(6)), []

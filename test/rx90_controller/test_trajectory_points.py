@@ -166,23 +166,6 @@ def test_between_its_ends_it_is_the_mean_of_the_lines_over_each_ramp() -> None:
     assert got.sample(np.array([np.nextafter(2.4, 0.0)]))[0, 0] == pytest.approx(position[3], abs=1e-12)
 
 
-@pytest.mark.parametrize("count", [1, 2])
-@pytest.mark.parametrize("share", [-0.3, 0.4, 1.0])
-def test_it_goes_on_from_a_velocity(count: int, share: float) -> None:
-    """Begun in motion, position and velocity are continuous, and accelerations within the limits, to the last point."""
-    moving = share * np.array([1.0, -1.0, 0.5, 0.2, 1.0, 2.0])
-    times = np.array([0.0, 1.0, 2.0])[: count + 1]
-    got = straight(times, np.stack([ZERO, WAY, 0.5 * WAY])[: count + 1], moving, LIMITS)
-    fine = np.arange(0.0, times[-1], 1e-3)
-    sampled = got.sample(fine)
-    assert sampled[0, 1] == pytest.approx(moving)
-    assert (np.abs(np.diff(sampled[:, 1], axis=0)) <= MOST * 1e-3 * (1 + 1e-9) + 1e-12).all()
-    steps = 1e-3 * (sampled[1:, 1] + sampled[:-1, 1]) / 2.0
-    np.testing.assert_allclose(np.cumsum(steps, axis=0), sampled[1:, 0], atol=1e-5)
-    last = [WAY, 0.5 * WAY][count - 1]
-    np.testing.assert_allclose(sampled[-1, 0] + 1e-3 * sampled[-1, 1] / 2.0, last, atol=1e-5)
-
-
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_it_ends_with_a_velocity_as_it_begins_with_one_backwards(count: int) -> None:
     """Seen backwards in time, lines from one velocity to another are those from the other, reversed, to the one."""

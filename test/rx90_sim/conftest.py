@@ -48,14 +48,6 @@ class ArmOracle:
         rotors = self.turns.T @ np.diag(drives.rotor_inertia) @ self.turns
         return upper + np.triu(upper, 1).T + rotors, bias + drives.spring_torque * np.sin(position)
 
-    def energy(self, q: Array, v: Array) -> float:
-        """Return kinetic energy (rotors included) plus potential energy (spring included), J."""
-        model = self.setup.robot.model
-        mass, _ = self.mass_and_bias(q, v)
-        gravity = pin.computePotentialEnergy(model, model.createData(), np.asarray(q, float))
-        spring = -self.setup.drives.spring_torque @ np.cos(q)
-        return float(0.5 * v @ mass @ v + gravity + spring)
-
     def integrate(self, state: Array, motor: ArrayLike, duration: float, tolerance: float) -> Array:
         """Return (q, v, z), shape (2 n + e,), after `duration` seconds of constant motor torques."""
         lugre = LuGreOracle(self.setup.friction.elements)
@@ -85,8 +77,6 @@ def frictionless() -> FrictionSet:
 
 @pytest.fixture(scope="session")
 def masses(shipped: Setup) -> Callable[..., Plant]:
-    """Return a maker of plants of independent masses: `masses(elements, inertia, base_hz)`."""
-
     def make(elements: Sequence[FrictionElement], inertia: float = 1.0, base_hz: int = 4000) -> Plant:
         setup = dataclasses.replace(decoupled_setup(shipped, elements, inertia), rates=Rates(base_hz, base_hz // 4))
         return setup.plant()

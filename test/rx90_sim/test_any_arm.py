@@ -18,8 +18,6 @@ SEVEN[5] = [0.0, 0.0, 0.0, -0.5, 0.0, 1.0, 0.0]
 
 
 class Arm(NamedTuple):
-    """A robot folder, read, and the independent model of it."""
-
     setup: Setup
     oracle: Any
 

@@ -95,18 +95,12 @@ def test_an_end_stop_is_a_spring_and_a_damper(
     assert 0.1 - side * plant.joint_states()[1][joint] == pytest.approx(slower, rel=0.02)
 
 
-def ringing(setup: Setup, joint: int) -> Plant:
-    """Return a plant whose joint has a micro-viscous damping too large for its step, which no setup comes to."""
-    plant = setup.plant()
-    plant.constants["friction"]["c1"][0, joint] = 1e6
-    plant.constants["friction"]["inverse_omega_d"][0, joint] = 1e-6
-    return plant
-
-
 @pytest.mark.parametrize("joint", [0, 3, 5])
 def test_divergence_is_an_error_that_names_joint_and_tick(shipped: Setup, joint: int) -> None:
     """A state beyond its speed limit ends the step with one line that names the joint and the tick."""
-    plant = ringing(shipped, joint)
+    plant = shipped.plant()  # with a micro-viscous damping too large for its step, which no setup comes to
+    plant.constants["friction"]["c1"][0, joint] = 1e6
+    plant.constants["friction"]["inverse_omega_d"][0, joint] = 1e-6
     with pytest.raises(DivergenceError) as caught:  # noqa: PT012 - every sample up to then is a number
         for _ in range(400):
             plant.step(0.2 * shipped.drives.peak_torque)

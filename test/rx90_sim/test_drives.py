@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from elastic_arms import POSE, SOFT, WRIST, elastic, energy, floating, free
+from elastic_arms import POSE, SOFT, WRIST, elastic, floating, random_cycles
 from scipy import signal
 from scipy.integrate import solve_ivp
 
@@ -72,15 +72,8 @@ def test_the_encoder_gives_whole_counts_next_to_the_truth(shipped: Setup) -> Non
             assert np.abs(position - exact).max() <= count * 0.5000001
 
 
-def observer_filter(bandwidth: float, period: float) -> tuple[list[float], list[float]]:
-    """Return the observer's transfer function from position to velocity, (1 - p)^2 / T * z (z - 1) / (z - p)^2."""
-    p = math.exp(-2 * math.pi * bandwidth * period)
-    gain = (1 - p) ** 2 / period
-    return [gain, -gain, 0.0], [1.0, -2 * p, p * p]
-
-
 def test_the_velocity_is_the_tracking_loop_s_answer_to_the_motor_s_angle(shipped: Setup) -> None:
-    """Measured velocity equals the tracking loop's transfer function applied to the angle before it is rounded."""
+    """It is (1 - p)^2 / T * z (z - 1) / (z - p)^2 applied to the angle before that is rounded."""
     coarse = shipped.drives.replaced(encoder={"counts_per_revolution": 4096})
     plant = dataclasses.replace(shipped, drives=coarse).plant()
     plant.reset(np.array([0.2, 0.5, 1.0, 0.1, 0.4, 0.3]))
@@ -90,8 +83,9 @@ def test_the_velocity_is_the_tracking_loop_s_answer_to_the_motor_s_angle(shipped
         plant.step(0.3 * shipped.drives.peak_torque * math.sin(k / 150))
         angles.append(shipped.drives.gear * (WRIST @ (plant.joint_states()[0] - start)))
         velocities.append(plant.motor_states()[1].copy())
-    b, a = observer_filter(shipped.drives.velocity_bandwidth, shipped.rates.period)
-    want = signal.lfilter(b, a, np.array(angles), axis=0)
+    p = math.exp(-2 * math.pi * shipped.drives.velocity_bandwidth * shipped.rates.period)
+    gain = (1 - p) ** 2 / shipped.rates.period
+    want = signal.lfilter([gain, -gain, 0.0], [1.0, -2 * p, p * p], np.array(angles), axis=0)
     got = np.array(velocities)
     assert np.abs(got).max() > 1.0
     assert np.abs(got - want).max() < 1e-8 * np.abs(want).max()
@@ -132,13 +126,6 @@ def cogged(setup: Setup, cogging: Cogging = TERMS) -> Setup:
     return dataclasses.replace(setup, drives=setup.drives.replaced(cogging=cogging))
 
 
-def wells(setup: Setup, motors: Array) -> float:
-    """Return the energy of the cogging at motor angles, rad, J: minus the integral of the torque."""
-    cogging = setup.drives.cogging
-    harmonic = np.array(cogging.harmonic)[:, None]
-    return float(-np.sum(cogging.amplitude / harmonic * np.sin(harmonic * motors + cogging.phase)))
-
-
 @kernel
 def cog(plants: Any, states: Any, angle: Array, velocity: Array, torque: Array, step: float) -> None:
     add_cogging(plants[0], states[0], angle, velocity, torque, step)
@@ -162,19 +149,12 @@ def test_cogging_creates_no_energy(shipped: Setup, gears: str) -> None:
     setup = cogged(floating(shipped))
     if gears == "elastic":
         setup = elastic(setup, SOFT)
-    plant, rng, peak = setup.plant(), np.random.default_rng(12), setup.drives.peak_torque
-    state, gear, twist = free(plant, POSE), setup.drives.gear, plant.state["transmission"]["twist"][0]
-    rate = plant.state["transmission"]["rate"][0]
-    last = WRIST @ state["q"] + twist
-    start, work, moved = energy(setup, state) + wells(setup, gear * last), 0.0, 0.0
-    for _ in range(10_000):
-        wanted = rng.uniform(-1.0, 1.0, 6)
-        for _ in range(4):
-            plant.step((wanted - 0.3 * (WRIST @ state["v"] + rate)) * peak)
-            turned = WRIST @ state["q"] + twist
-            done = plant.motor_states()[2] * gear * (turned - last)
-            work, moved, last = work + done.sum(), moved + np.abs(done).sum(), turned
-    created = energy(setup, state) + wells(setup, gear * last) - start - work
+    cogging, harmonic = setup.drives.cogging, np.array(setup.drives.cogging.harmonic)[:, None]
+
+    def wells(motors: Array) -> float:
+        return float(-np.sum(cogging.amplitude / harmonic * np.sin(harmonic * motors + cogging.phase)))
+
+    created, moved = random_cycles(setup, 12, 4, wells)
     assert moved > 500.0  # J
     assert abs(created) < 3e-6 * moved
 
@@ -199,16 +179,6 @@ def windings(**changes: object) -> Windings:
     return Windings(**{**values, **changes})  # type: ignore[arg-type]
 
 
-def warmed(setup: Setup, parts: Windings, torque: Array, step: float, count: int) -> Array:
-    """Return the temperatures after so many steps of constant torque, degrees, shape (6,)."""
-    record = np.zeros(1, winding_dtype(6))
-    fill_windings(record[0], parts, setup.drives.torque_constant)
-    temperature = np.full(6, parts.initial)
-    for _ in range(count):
-        warm_windings(record[0], torque, temperature, step)
-    return temperature
-
-
 def test_resistance_that_rises_against_a_solver(shipped: Setup) -> None:
     """Of copper or with constant resistance, 50 seeded windings follow SciPy's answer, also where they run away."""
     rng = np.random.default_rng(6)
@@ -226,7 +196,10 @@ def test_resistance_that_rises_against_a_solver(shipped: Setup) -> None:
             return np.asarray((r * i**2 * (1.0 + a * (t - 20.0)) - (t - 25.0) / o) / c)
 
         want = solve_ivp(rates, (0.0, 60.0), np.full(6, 25.0), "LSODA", rtol=1e-11, atol=1e-10).y[:, -1]
-        found = warmed(shipped, parts, current * shipped.drives.torque_constant, 0.1, 600)
+        record, found = np.zeros(1, winding_dtype(6)), np.full(6, parts.initial)
+        fill_windings(record[0], parts, shipped.drives.torque_constant)
+        for _ in range(600):
+            warm_windings(record[0], current * shipped.drives.torque_constant, found, 0.1)
         assert found == pytest.approx(want, rel=1e-8)
 
 

@@ -39,8 +39,6 @@ def pull(plants: NDArray[Any], states: NDArray[Any], rate: Array, stiffness: flo
 
 
 def mass_with_friction(oracle: Any, force: Callable[[float, float], float]) -> Callable[[float, Array], list[float]]:
-    """Return the equations of a unit mass under `force(t, x)` and friction."""
-
     def rhs(t: float, y: Array) -> list[float]:
         z_dot, friction = oracle.rates(y[2:3], y[1:2])
         return [y[1], force(t, y[0]) - float(friction[0]), float(z_dot[0])]

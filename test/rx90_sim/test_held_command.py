@@ -177,7 +177,6 @@ def test_a_reset_takes_the_command_away(drive: Drive) -> None:
 
 @pytest.fixture
 def joints(drive: Drive) -> Drive:
-    """Return a drive that holds the newest command for 10 ms, in tick 1000."""
     drive.hold(NewestCommand, 0.01, OnceLog(drive.said.append, lambda: drive.now).say)
     drive.number = 1000
     return drive

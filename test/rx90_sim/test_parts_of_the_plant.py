@@ -19,7 +19,6 @@ from rx90_sim.plant import Plant, beyond_law
 
 @pytest.fixture(scope="module")
 def arm(shipped: Setup) -> Setup:
-    """Return the shipped arm with a load part in every element, and a ripple in three."""
     return loaded(shipped)
 
 
@@ -112,7 +111,6 @@ TORQUE = np.array([0.1, -0.2, 0.15, 0.05, 0.04, 0.06])
 
 
 def warm(setup: Setup, part: TemperaturePart = PART, **windings: float) -> Setup:
-    """Return a setup with the part in all elements but the second, and with windings of 2 to 7 Ohm."""
     elements = tuple(
         element if i == 1 else element.replaced(temperature=part) for i, element in enumerate(setup.friction.elements)
     )

@@ -33,7 +33,6 @@ class Bench:
         return self.time.ran
 
     def begin(self, message: Any) -> tuple[Any, Any]:
-        """Send a goal; return its handle and the result to come, once the controller follows it."""
         before = self.cell.output.count("goal accepted")
         handle = self.goals.send(message)
         # The client hears of it before the controller begins: a step in between would not be the goal's.
@@ -41,7 +40,6 @@ class Bench:
         return handle, self.goals.result_of(handle)
 
     def follow(self, message: Any) -> Any:
-        """Send a goal that is followed; return its result, once there is one."""
         _, result = self.begin(message)
         return self.time.until(result)
 
@@ -58,7 +56,6 @@ class Bench:
         del self.set_points[:-1]
 
     def home(self) -> None:
-        """Bring the arm back, at rest, and forget what was heard, but for the last."""
         from action_client import move
 
         newest = self.heard()[-1]
@@ -70,7 +67,6 @@ class Bench:
         del self.set_points[:-1]
 
     def heard(self) -> list[Any]:
-        """Return the set-points, once the newest has come."""
         newest = self.now - 1e-3 - 1e-9
         self._wait_for(self.set_points, newest)
         return self.set_points

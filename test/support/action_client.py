@@ -33,7 +33,6 @@ def point(seconds: float, positions: Sequence[float], velocities: Sequence[float
 
 
 def goal(*points: Any, names: Sequence[str] = tuple(JOINTS), start: float = 0.0, **fields: Any) -> Any:
-    """Return a goal of points; it starts now, or at a simulated time in s."""
     trajectory = JointTrajectory(joint_names=list(names), points=list(points))
     trajectory.header.stamp = stamp(Time, start)
     return FollowJointTrajectory.Goal(trajectory=trajectory, **fields)
@@ -85,7 +84,6 @@ class Stepper:
         return self._ran / BASE_RATE
 
     def run(self, seconds: float) -> None:
-        """Let time run so many whole steps, in one call."""
         ticks = round(seconds / self._step) * round(self._step * BASE_RATE)
         if ticks not in (0, self._ticks):
             step_ticks = Parameter("step_ticks", value=ticks).to_parameter_msg()
@@ -104,7 +102,6 @@ class Stepper:
         self._ran = 0
 
     def until(self, done: Future, most: float = 10.0) -> Any:
-        """Let time run, step by step, until a future is done; return what it brings."""
         end = self.ran + most
         while not done.done():
             assert self.ran < end, f"nothing within {most:g} s"

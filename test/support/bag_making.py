@@ -34,7 +34,6 @@ def joint_state(
 
 
 def write_ros2(path: Path, messages: list[tuple[str, int, Any]], storage: str = "mcap") -> Path:
-    """Write (topic, log time, JointState or raw bytes) to a rosbag2 folder."""
     with Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()]) as writer:
         topics = dict.fromkeys(topic for topic, _, _ in messages)
         connections = {t: writer.add_connection(t, JOINT_STATE, typestore=ROS2) for t in topics}
@@ -45,7 +44,6 @@ def write_ros2(path: Path, messages: list[tuple[str, int, Any]], storage: str = 
 
 
 def as_sqlite(bag: Path) -> Path:
-    """Write the messages of a bag into another one beside it, with sqlite3 storage."""
     made = bag.with_name(f"{bag.name}_sqlite")
     with AnyReader([bag]) as reader, Writer(made, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         numbers = {}
@@ -57,7 +55,6 @@ def as_sqlite(bag: Path) -> Path:
 
 
 def write_ros1(path: Path, messages: list[tuple[str, int, Any]]) -> Path:
-    """Write (topic, log time, JointState of ROS 1) to a .bag file."""
     with Rosbag1Writer(path) as writer:
         topics = dict.fromkeys(topic for topic, _, _ in messages)
         connections = {t: writer.add_connection(t, JOINT_STATE, typestore=ROS1) for t in topics}

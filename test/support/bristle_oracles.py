@@ -16,7 +16,6 @@ _TIGHT = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-14}
 
 
 def random_element(rng: np.random.Generator) -> FrictionElement:
-    """Return an element with torques of 1 to 50 Nm, other ones for each sign, and curves of any shape."""
     coulomb = 10.0 ** rng.uniform(0.0, 1.5, 2)
     static = coulomb * rng.uniform(1.0, 2.0, 2)
     c0 = 10.0 ** rng.uniform(3.5, 5.5)
@@ -60,7 +59,6 @@ class ElastoPlasticOracle:
         return v * (1.0 - alpha * size / steady)
 
     def torque(self, z: float, v: float) -> float:
-        """Return the friction torque, Nm."""
         e = self.element
         return float(e.c0 * z + e.damping(v) * self.rate(z, v) + e.viscous_torque(v))
 
@@ -109,7 +107,6 @@ class MaxwellSlipOracle:
         return np.where(self.slips, slip, stuck)
 
     def torque(self, forces: Array, v: float) -> float:
-        """Return the friction torque, Nm."""
         e = self.element
         rate = float(np.sum(self.rates(forces, v))) if v else 0.0
         return float(np.sum(forces) + e.damping(v) * rate / e.c0 + e.viscous_torque(v))

@@ -1,7 +1,4 @@
-"""A page in a real Chromium without a window: what it draws, asks for and complains of.
-
-One browser serves all tests of a session; each test has pages of its own.
-"""
+"""A page in a real Chromium without a window, one for a session: what it draws, asks for and complains of."""
 
 import shutil
 import threading
@@ -73,7 +70,6 @@ class BrowserPage:
 
     @property
     def foreign_requests(self) -> list[str]:
-        """Return what the page asked for of any other place than the one that it came from."""
         own = urlsplit(self._address).netloc
         inside = ("data:", "blob:")
         return [url for url in self.requests if not url.startswith(inside) and urlsplit(url).netloc != own]
@@ -92,7 +88,6 @@ class BrowserPage:
         return self.page.get_by_role("button", name=name)
 
     def wait_until(self, ready: Callable[[], bool], what: str) -> None:
-        """Wait for something that can be seen on the page; fail the test if it does not come."""
         for _ in range(TIMEOUT // 50):
             if ready():
                 return
@@ -121,7 +116,6 @@ def chromium() -> Iterator[Any]:
 
 @pytest.fixture
 def open_page(chromium: Any) -> Iterator[Callable[..., BrowserPage]]:
-    """Return a function that opens an address, with a width and height in pixels; its pages are closed afterwards."""
     opened = []
 
     def open_(address: str, size: tuple[int, int] = _DESKTOP, *, pictures: str = "none") -> BrowserPage:
@@ -138,7 +132,6 @@ def open_page(chromium: Any) -> Iterator[Callable[..., BrowserPage]]:
 
 @contextmanager
 def served(page: Any) -> Iterator[Any]:
-    """Run a `rx90_emulator.view.page.Page` on a thread of its own within the block, and close it afterwards."""
     ended = threading.Event()
     thread = threading.Thread(target=page.run, args=(lambda: None, ended.is_set), daemon=True)
     thread.start()

@@ -45,7 +45,6 @@ validation: [three]
 
 
 def shipped() -> list[tuple[str, Path]]:
-    """Return kind and path of every shipped file that the project's own readers read."""
     robots = [config_path(f"robots/{name}") for name in shipped_robots()]
     found = [(role, folder / file) for folder in robots for role, file in FILES.items() if role != "urdf"]
     found += [("friction", path) for path in sorted(config_path("friction").rglob("*.yaml"))]
@@ -56,7 +55,6 @@ def shipped() -> list[tuple[str, Path]]:
 
 
 def written(folder: Path) -> list[tuple[str, Path]]:
-    """Write a file of each kind of which none is shipped; return kind and path."""
     for bag in ("one", "two", "three"):
         (folder / bag).mkdir()
     found = []

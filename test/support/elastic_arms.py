@@ -1,7 +1,7 @@
 """Arms with elastic gears for tests, and their equations once more, independent of the product."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,6 @@ POSE = np.array([0.3, 0.5, 1.0, -0.4, 0.6, 0.2])
 def elastic(
     setup: Setup, stiffness: ArrayLike, damping: ArrayLike = 0.0, backlash: ArrayLike = 0.0, side: str = MOTOR
 ) -> Setup:
-    """Return a setup with elastic gears; numbers stand for six."""
     given = {"stiffness": stiffness, "damping": damping, "backlash": backlash}
     values = {name: np.broadcast_to(np.asarray(value, float), 6) for name, value in given.items()}
     return dataclasses.replace(setup, drives=setup.drives.replaced(elasticity={**values, "friction": side}))
@@ -121,3 +120,20 @@ def solved(setup: Setup, start: Array, motor: Sequence[Array], duration: float) 
         start = result.y[:, -1]
         found.append(start)
     return np.array(found)
+
+
+def random_cycles(setup: Setup, seed: int, ticks: int, potential: Callable[[Array], float]) -> tuple[float, float]:
+    """Return the energy that 10^4 cycles create, and what the motors move, J, in a potential of their angles."""
+    plant, rng, peak = setup.plant(), np.random.default_rng(seed), setup.drives.peak_torque
+    state, gear = free(plant, POSE), setup.drives.gear
+    gears = state["transmission"]
+    last = WRIST @ state["q"] + gears["twist"]
+    start, work, moved = energy(setup, state) + potential(gear * last), 0.0, 0.0
+    for _ in range(10_000):
+        wanted = rng.uniform(-1.0, 1.0, 6)
+        for _ in range(ticks):
+            plant.step((wanted - 0.3 * (WRIST @ state["v"] + gears["rate"])) * peak)  # or the arm would spin up
+            turned = WRIST @ state["q"] + gears["twist"]
+            done = plant.motor_states()[2] * gear * (turned - last)
+            work, moved, last = work + done.sum(), moved + np.abs(done).sum(), turned
+    return energy(setup, state) + potential(gear * last) - start - work, moved

@@ -21,7 +21,6 @@ def plain_arm(seed: int, joints: int, *, coupled: bool) -> SyntheticArm:
 
 
 def rigid_arm(arm: SyntheticArm, folder: Path, wrong: float = 0.5) -> RigidArm:
-    """Return the arm as the identification knows it: kinematics and couplings, wrong masses."""
     urdf = folder / "arm.urdf"
     urdf.write_text(arm.urdf(wrong), encoding="utf-8")
     return RigidArm.from_urdf(urdf, coupling=arm.coupling, spring=arm.spring)
@@ -47,6 +46,5 @@ def runs_of(
 
 
 def truth(problem: ExcitationProblem, arm: SyntheticArm) -> tuple[Array, Array]:
-    """Return the true base parameters, and Coulomb and viscous torque of each element."""
     friction = [value for law in arm.friction for value in (law.coulomb, law.c2)]
     return problem.base.combination @ standard_values(arm), np.array(friction)

@@ -1,7 +1,4 @@
-"""Arms that are not this project's, and their bags: Pinocchio, an analytic Stribeck curve or SciPy, and rosbags.
-
-Nothing here uses the code under test.
-"""
+"""Arms that are not this project's, and their bags, without the code under test: Pinocchio, SciPy and rosbags."""
 
 from __future__ import annotations
 
@@ -64,7 +61,6 @@ class Curve:
     c2: float
 
     def __call__(self, velocity: Array) -> Array:
-        """Return the torque, Nm; none at rest."""
         forward = velocity > 0.0
         coulomb = np.where(forward, self.tau_c_positive, self.tau_c_negative)
         static = np.where(forward, self.tau_s_positive, self.tau_s_negative)
@@ -106,10 +102,7 @@ class Program:
 
 
 def drive_torque(model: Any, matrix: Array, curves: Sequence[Curve], motion: tuple[Array, Array], rate: float) -> Array:
-    """Return the drives' joint torques: rigid arm and friction; elements at rest carry some torque, too.
-
-    `matrix` leads from joint velocities to those of the elements, shape (n_el, n); the motion's arrays are (m, n).
-    """
+    """Return the joints' torques, (m, n), some at rest, too; `matrix` leads to the elements, (n_el, n)."""
     position, velocity = motion
     acceleration = np.gradient(velocity, 1.0 / rate, axis=0)
     n = position.shape[1]
@@ -129,10 +122,7 @@ def write(
     storage: str = "mcap",
     header: bool = True,
 ) -> Path:
-    """Write JointState messages of position, velocity or None, and effort, shape (m, k); the recorder is a little late.
-
-    With storage "ros1" the bag is a file, else a folder; without `header` all stamps are 0.
-    """
+    """Write JointState messages, fields of shape (m, k), to a file for "ros1", else a folder; no header: stamps 0."""
     store = {"store": ROS1} if storage == "ros1" else {}
     rows = []
     for k in range(len(fields[0])):

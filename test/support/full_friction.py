@@ -22,7 +22,6 @@ PARTS: dict[str, Any] = {
 
 
 def write_with_parts(shipped: Path, written: Path) -> Path:
-    """Write a friction file with these parts in each of its elements; return its path."""
     file = rx.FrictionFile.read(shipped)
     elements = {name: element.replaced(**PARTS) for name, element in file.elements.entries.items()}
     written.write_text(file.replaced(elements=elements).text(), encoding="utf-8")

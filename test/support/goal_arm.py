@@ -36,7 +36,6 @@ def tolerance(name: str, position: float = 0.0, velocity: float = 0.0, accelerat
 
 
 def message(to: Array | None = None, seconds: float = 0.6, **changed: Any) -> SimpleNamespace:
-    """Return a goal of a move to a pose at rest; parts of it, or of its trajectory, are changed."""
     move = trajectory([seconds], [HOME + 0.2 if to is None else to], [0.0])
     goal = SimpleNamespace(
         trajectory=move,
@@ -94,11 +93,7 @@ class Law:
 
 
 class Arm:
-    """A servo loop, its generator, and an arm whose state is the set-point plus an error that a test sets.
-
-    Attributes:
-        active: key of the goal that is followed, if there is one.
-    """
+    """A servo loop, and an arm whose state is the set-point plus an error that a test sets; `active`: a goal's key."""
 
     def __init__(self, **options: bool) -> None:
         self.trajectory = TrajectoryGenerator(LIMITS, PERIOD, HOME)
@@ -148,6 +143,5 @@ class Arm:
         return events
 
     def stopped_smoothly(self) -> bool:
-        """Return whether the velocities never stepped by more than the accelerations allow, and the arm rests."""
         speed = np.array(self.setpoints)[:, 1]
         return bool((np.abs(np.diff(speed, axis=0)) <= 20.0 * PERIOD * (1 + 1e-6)).all() and not speed[-1].any())

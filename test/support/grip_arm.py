@@ -16,12 +16,7 @@ _MESH = '<collision><geometry><mesh filename="package://none/link.stl"/></geomet
 
 
 def write_urdf(folder: Path, joints: int = 7, *, continuous: bool = False) -> Path:
-    """Write the description.
-
-    The base turns on a `mast` and carries a `wheel`; one of its links has an inertia that no body has. The gripper
-    has a sliding finger and one that mimics it, as the hand does, which is fixed; its tip is a frame without a body.
-    A `continuous` arm's last joint turns without end, and says no range.
-    """
+    """Write the description: `mast` and `wheel` at the base, a body that cannot be, a finger that mimics one."""
     parts = [
         '<robot name="grip_arm"><link name="world"/><link name="column"><inertial><mass value="9"/>',
         '<inertia ixx="1" iyy="1" izz="9" ixy="0" ixz="0" iyz="0"/></inertial></link>',

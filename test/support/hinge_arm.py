@@ -27,7 +27,6 @@ class Hinge:
     torque: NDArray[np.float64]
 
     def friction(self, file: Path, factor: float = 1.0) -> Path:
-        """Write the friction times a factor as a file, and return it."""
         values = vars(CURVE.scaled(factor)) | {"c0": 1e5, "c1": 0.0}
         file.write_text(FrictionFile.of({"hinge": FrictionElement.of(values)}).text(), encoding="utf-8")
         return file

@@ -38,7 +38,6 @@ _FOUND = (
 
 
 def hostile(content: Any) -> Any:
-    """Return the content of a file with every joint's name and every remark replaced."""
     if isinstance(content, dict):
         return {
             JOINTS.get(key, key): "\n".join(TEXTS) if key in ("source", "note") else hostile(value)
@@ -50,7 +49,6 @@ def hostile(content: Any) -> Any:
 
 
 def hostile_robot(folder: Path, task: Path) -> RobotFiles:
-    """Write the files of the RX90B into a folder, with hostile texts, and return them."""
     files = RobotFiles()
     tree = ET.parse(files.urdf)
     for part in tree.iter():

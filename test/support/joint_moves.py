@@ -43,7 +43,6 @@ def move(to: float, seconds: float) -> TrajectoryPoints:
 
 
 def stamp(seconds: float, epoch: int = 0) -> SimpleNamespace:
-    """Return a Time or Duration, so many whole seconds later."""
     sec, nanosec = divmod(round(float(seconds) * 1e9), 10**9)
     return SimpleNamespace(sec=epoch + sec, nanosec=nanosec)
 

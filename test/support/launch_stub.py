@@ -26,8 +26,6 @@ _STUBS = {
 
 
 class Action(NamedTuple):
-    """A stub of anything that a launch file builds: what it was given."""
-
     kind: str
     given: tuple[Any, ...]
     named: dict[str, Any]
@@ -37,8 +35,6 @@ class Action(NamedTuple):
 
 
 class Context(NamedTuple):
-    """A stub of the context: the arguments that were given."""
-
     launch_configurations: dict[str, str]
 
 

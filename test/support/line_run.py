@@ -123,7 +123,6 @@ def run_both_ways(
 
 
 def _write_run(setup: Setup, task: LineTask, folder: Path) -> None:
-    """Write the run of the closed loop, and the correction that it was done with."""
     learned = learn_correction(setup, task, 1)
     run = run_line(setup, task, start_time=START, record_fast=True, correction=learned.correction)
     write_bag(run, folder / "closed_loop")

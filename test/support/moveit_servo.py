@@ -9,10 +9,7 @@ from rx90_common.base.arrays import Array
 
 
 class Servo:
-    """MoveIt Servo's loop for joint jogs (moveit2, branch jazzy, 4d84106): servo_node.cpp, servo.cpp, utils/common.cpp.
-
-    A state is (time stamp, positions, velocities). Positions are smoothed by its Butterworth filter.
-    """
+    """Joint jogs by moveit2, jazzy, 4d84106: servo_node.cpp, servo.cpp, utils/common.cpp; states (stamp, q, v)."""
 
     PERIOD, LATENCY, COEFFICIENT = 0.01, 0.1, 1.5  # publish_period, max_expected_latency, low_pass_filter_coeff
 

@@ -16,7 +16,6 @@ def by_model(setup: Setup, *, inverse_dynamics: bool = True, friction_model: boo
 
 
 def with_friction(setup: Setup, elements: Sequence[FrictionElement], path: Path) -> Setup:
-    """Return the setup with a controller whose model has other friction, written to a file."""
     names = setup.friction.names
     path.write_text(FrictionFile(elements=dict(zip(names, elements, strict=True))).text(), encoding="utf-8")
     model = setup.controller.model
@@ -26,7 +25,6 @@ def with_friction(setup: Setup, elements: Sequence[FrictionElement], path: Path)
 
 
 def scaled(friction: FrictionSet, factor: float) -> tuple[FrictionElement, ...]:
-    """Return elements whose torques are so many times as large at every velocity and deflection."""
     names = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c0", "c1", "c2")
     return tuple(
         element.with_parameters({name: factor * element.parameters[name] for name in names})

@@ -57,7 +57,6 @@ def blocks(page: Path) -> list[Block]:
 
 
 def commands(text: str) -> list[tuple[str, str]]:
-    """Return the commands of a console block, each with the output that is expected of it."""
     parts = re.split(r"^(\$ .*|\^C)\n", text, flags=re.MULTILINE)
     return [("", parts[0])] * bool(parts[0]) + [*zip(parts[1::2], parts[2::2], strict=True)]
 
@@ -77,7 +76,6 @@ class PageSession:
         self._code = 0
 
     def run(self) -> None:
-        """Do it all; an AssertionError names the line of the page."""
         for block in blocks(self._page):
             where = f"{self._page.name}:{block.line}"
             if "skip" in block.words:

@@ -43,7 +43,6 @@ class Seven(NamedTuple):
 
     @classmethod
     def of(cls, elements: Sequence[FrictionElement], period: float = 2.5e-4, seed: int = 0) -> Seven:
-        """Return elements at rest, of which none transmits a torque."""
         parts = np.zeros(1, parts_dtype(RX_WRIST.size.elements))
         fill_parts(parts[0], elements, GEAR, period, seed)
         seven = cls(
@@ -61,10 +60,7 @@ def begin(parts: Record, states: Record, transmitted: Array) -> None:
 
 @kernel
 def follow(seven: Seven, motion: Array, step: float, torque: Array, stored: Array) -> None:
-    """Run along angles in the middle of each step, velocities and transmitted torques, shape (n, 3, 7).
-
-    Write the mean torque over each step, Nm, and the energy of the bristles behind it, J, each of shape (n, 7).
-    """
+    """Run along angles, velocities and transmitted torques, (n, 3, 7), to mean torques, Nm, and energies, J."""
     elements, parts, state, z = seven.elements[0], seven.parts[0], seven.states[0], seven.z
     for k in range(len(motion)):
         deflection, mean = parts_step(
@@ -89,7 +85,6 @@ def along(seven: Seven, motion: Array, step: float) -> tuple[Array, Array]:
 
 
 def any_element(rng: np.random.Generator, **parts: Any) -> FrictionElement:
-    """Return an element with a size, an asymmetry and exponents drawn, passive up to SPEED."""
     size = 10.0 ** rng.uniform(-1, 2)
     tau_c = size * rng.uniform(0.6, 1.4, 2)
     tau_s = tau_c * rng.uniform(1.0, 1.8, 2)
@@ -105,3 +100,25 @@ def any_element(rng: np.random.Generator, **parts: Any) -> FrictionElement:
     }
     element = FrictionElement.of({**values, **parts})
     return element.replaced(c1=0.9 * element.passive_damping(SPEED))
+
+
+def steady(element: FrictionElement, v: float, load: float = 0.0, warm: float = 0.0, wave: float = 1.0) -> float:
+    """Return the torque of steady sliding by the equations of Bittencourt and Gunnarsson, and BAM's quadratic term."""
+    sign, part, driving = "positive" if v >= 0 else "negative", element.load, load * v >= 0
+    coulomb, static = (element.parameters[f"{name}_{sign}"] for name in ("tau_c", "tau_s"))
+    rise, speed, omega_s, viscous = static - coulomb, abs(v), element.omega_s, float(element.viscous_torque(abs(v)))
+    if (law := element.temperature) is not None:
+        above = min(warm, law.highest) - law.reference
+        rise *= 1 + law.static_slope * above
+        omega_s *= 1 + law.speed_slope * above
+        viscous *= law.viscous_floor + (1 - law.viscous_floor) * np.exp(-above / law.viscous_scale)
+    dry = wave * (coulomb + rise * np.exp(-((speed / omega_s) ** element.delta)))
+    if part is not None:
+        k, s, m = (
+            (part.driving, part.stribeck_driving, part.quadratic_driving)
+            if driving
+            else (part.driven, part.stribeck_driven, part.quadratic_driven)
+        )
+        fading = np.exp(-((speed / (part.omega_s or omega_s)) ** element.delta))
+        dry += k * abs(load) + (s * abs(load) + m * load**2) * fading
+    return float(np.sign(v) * (dry + viscous))

@@ -32,7 +32,6 @@ def pytest_configure() -> None:
 
 
 def script(name: str) -> str:
-    """Return the path of a console script of the environment that runs the tests."""
     path = Path(sys.executable).with_name(name)
     if not path.is_file():
         raise FileNotFoundError(f"{path} is missing; `make test` installs the package before it tests")
@@ -40,7 +39,6 @@ def script(name: str) -> str:
 
 
 def command(name: str, *arguments: object) -> list[str]:
-    """Return the command line of one of the package's executables, or of anything else by its path."""
     return [name, *map(str, arguments)] if os.sep in name else executable(name, *arguments)
 
 
@@ -103,13 +101,11 @@ class Processes:
         self._started: list[ChildProcess] = []
 
     def start(self, name: str, *arguments: object) -> ChildProcess:
-        """Start one of the package's executables by its name, anything else by its path."""
         process = self._group.start(Path(name).name, command(name, *arguments))
         self._started.append(process)
         return process
 
     def run(self, name: str, *arguments: object, timeout: float = TIMEOUT) -> subprocess.CompletedProcess[str]:
-        """Run an executable to its end, with stdout and stderr apart."""
         return subprocess.run(
             command(name, *arguments),
             stdin=subprocess.DEVNULL,
@@ -121,7 +117,6 @@ class Processes:
         )
 
     def end(self) -> list[str]:
-        """End all; return the names of those that did not end on Ctrl-C."""
         survivors = [process.name for process in self._group.end()]
         for process in self._started:
             print(f"--- {process.name} (exit code {process.returncode}):\n{process.output}")
@@ -130,7 +125,6 @@ class Processes:
 
 @contextlib.contextmanager
 def on_own_domain(monkeypatch: pytest.MonkeyPatch, folder: Path) -> Iterator[int]:
-    """Put this process and all it starts on a free DDS domain that does not leave the machine."""
     for name in ("ROS_STATIC_PEERS", "RMW_IMPLEMENTATION", "FASTRTPS_DEFAULT_PROFILES_FILE"):
         monkeypatch.setenv(name, "")  # so that monkeypatch remembers each of them, whatever the test sets
         monkeypatch.delenv(name)
@@ -146,7 +140,6 @@ def on_own_domain(monkeypatch: pytest.MonkeyPatch, folder: Path) -> Iterator[int
 
 @pytest.fixture
 def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]:
-    """Put the test and all it starts on a free DDS domain that does not leave the machine."""
     with on_own_domain(monkeypatch, tmp_path) as domain:
         yield domain
 
@@ -158,7 +151,6 @@ def warm(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @contextlib.contextmanager
 def running_processes() -> Iterator[Processes]:
-    """Give a Processes; afterwards end every process, and fail if one ignored Ctrl-C."""
     started = Processes()
     try:
         yield started
@@ -170,7 +162,6 @@ def running_processes() -> Iterator[Processes]:
 
 @contextlib.contextmanager
 def own_processes(folder: Path) -> Iterator[Processes]:
-    """Give a Processes on a domain of its own, to fixtures of a wider scope than a test."""
     with pytest.MonkeyPatch.context() as patch, on_own_domain(patch, folder):
         patch.setattr(subprocess, "Popen", WarmPopen)
         with running_processes() as started:

@@ -9,7 +9,6 @@ from rx90_common.base.errors import ConfigError
 
 
 def refusal_by(load: Callable[[Path], object], path: Path) -> str:
-    """Return the one line, naming the file and what is accepted, with which `load` refuses it."""
     with pytest.raises(ConfigError) as caught:
         load(path)
     text = str(caught.value)

@@ -64,7 +64,6 @@ class ReportCheck:
         self._browser = browser
 
     def open(self, file: Path, **options: Any) -> ReportPage:
-        """Open a report in a context of its own, which ends with the browser."""
         return ReportPage(self._browser.new_context(**options), file)
 
     def __call__(self, file: Path) -> None:
@@ -98,6 +97,5 @@ def leave_plots_out(patch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave the plots out of pages that the test writes, unless it looks at one in the browser."""
     if "check_report" not in request.fixturenames:
         leave_plots_out(monkeypatch)

@@ -23,7 +23,6 @@ PATIENCE = 0.06
 
 
 def rig_file_with(folder: Path, shipped: str, changes: dict[str, str]) -> Path:
-    """Return a copy of a shipped rig file in which some texts, each of which stands there once, are replaced."""
     text = config_path(shipped).read_text(encoding="utf-8")
     for old, new in changes.items():
         assert text.count(old) == 1, old
@@ -59,11 +58,7 @@ def read_some(descriptor: int) -> bytes:
 
 
 class PatientRig(PtyRig):
-    """A rig with its stage on that waits for the host: on a busy machine only this one's clock goes on without it.
-
-    Attributes:
-        patient: it waits; without that, the firmware's watchdog trips 120 ms after the host's last frame.
-    """
+    """A rig with its stage on that waits for its host while `patient`: on a busy machine only that's clock goes on."""
 
     def __init__(self, emulated: EmulatedRig, link: Path) -> None:
         self.patient = True
@@ -93,12 +88,7 @@ class PatientRig(PtyRig):
 
 
 class Bench:
-    """A rig that can be unplugged, reset and made to talk nonsense, and the link to it.
-
-    Attributes:
-        troubles: what the link has reported.
-        samples: how many readings it has passed on.
-    """
+    """A rig that can be unplugged, reset and made to talk nonsense, and the link, with what it has told."""
 
     def __init__(self, rig: Rig, link: Path) -> None:
         self.rig = rig

@@ -62,11 +62,6 @@ class Player:
         self.forgotten = 0
 
     def play(self, path: Path) -> None:
-        """Play a transcript.
-
-        Raises:
-            MismatchError: naming file, step and difference.
-        """
         script = yaml.safe_load(path.read_text(encoding="utf-8"))
         for number, step in enumerate(script["steps"], 1):
             name, value = (step, None) if isinstance(step, str) else next(iter(step.items()))
@@ -88,7 +83,6 @@ class Player:
             self.hello = parse_hello(frame) or self.hello
 
     def transmit(self, frame: Frame) -> bytes:
-        """Send a frame; return its bytes."""
         self.message = encode(frame)
         self.board.write(self.message)
         return self.message
@@ -111,7 +105,6 @@ class Player:
         self.board.write(self.message)
 
     def do_damaged(self, value: dict[str, Any]) -> None:
-        """Send a command with one byte flipped, lost or doubled, or a wrong checksum."""
         message = bytearray(encode(self.next_frame(value["command"])))
         self.sequence -= 1  # the rig must not have seen it
         middle = len(message) // 2

@@ -48,7 +48,6 @@ class _Executor(SingleThreadedExecutor):
         self.listening: list[tuple[Any, list[Any]]] = []
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Execute a callback; take what else has come."""
         super().spin_once(timeout_sec)
         for subscription, heard in self.listening:
             for _ in range(_AT_ONCE):
@@ -100,11 +99,7 @@ class Client:
         return heard
 
     def known_to(self, *nodes: str) -> None:
-        """Wait until these nodes send to all that listens here: each may hear of a listener later than that of it.
-
-        Nodes hear of what a participant makes in the order in which it was made; the answer comes to a client that was
-        made last.
-        """
+        """Wait until these nodes send to all that listens here: they answer a client that was made after that."""
         for node in nodes:
             self.state(node)
 
@@ -127,7 +122,6 @@ class Client:
         assert self.asking.call(SetBool, "rx90_controller/enable", SetBool.Request(data=on)).success
 
     def transition(self, node: str, label: str) -> bool:
-        """Ask a managed node for a transition by its label; return whether it was made."""
         request = ChangeState.Request(transition=Transition(label=label))
         return bool(self.asking.call(ChangeState, f"{node}/change_state", request).success)
 

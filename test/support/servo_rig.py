@@ -38,7 +38,6 @@ class Surroundings:
         self.published.append(stamp_ns)
 
     def accepted(self, trajectory: SimpleNamespace, start_ns: int, source: str = "") -> None:
-        """Note how many points, when they start, and where they come from."""
         self.taken.append((len(trajectory.points), start_ns, source))
 
     def wake(self) -> None:
@@ -61,7 +60,6 @@ class Rig:
         return MotorStates(tick * self.period, self.position, np.zeros(6))
 
     def run(self, first: int, count: int) -> list[bool]:
-        """Run ticks; return for each whether there is torque."""
         torques = []
         for tick in range(first, first + count):
             torques.append(self.loop.step(tick * self.period, self.states(tick)))

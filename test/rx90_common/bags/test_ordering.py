@@ -26,7 +26,6 @@ class Entry(NamedTuple):
 
 
 def entries(dated: Dated | None) -> list[Entry]:
-    """Return what was released, message by message."""
     if dated is None:
         return []
     return [Entry(*each) for each in zip(*(column.tolist() for column in dated), strict=True)]
@@ -37,12 +36,10 @@ def clock(topic: int) -> Source:
 
 
 def stamped(topic: int) -> Source:
-    """Return the source of a topic that has stamps and does not give the time."""
     return Source(topic, HEADER_STAMP)
 
 
 def add(order: LogOrder, source: Source, messages: list[bytes], received_ns: int = 0) -> None:
-    """Pass messages on, received one nanosecond after the other."""
     order.add([Arrived(source, messages, received_ns + np.arange(len(messages)))])
 
 

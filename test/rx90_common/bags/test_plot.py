@@ -22,13 +22,11 @@ POSITION = np.column_stack([np.sin(20.0 * TIME), np.cos(20.0 * TIME)])
 
 
 def series(topic: str, shift: float = 0.0, start: int = 0) -> JointSeries:
-    """Return positions and torques of two joints; those of the second are `shift` higher."""
     return JointSeries(topic, NAMES, STAMPS + start, position=POSITION + np.array([0.0, shift]), effort=30.0 * POSITION)
 
 
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Return bags by name: `first`, `second` in which joint_2 is 0.25 rad off, `later`, `walls` of a wall clock."""
     folder = tmp_path_factory.mktemp("bags")
     content = {
         "first": [series("/joint_states"), series("/friction_states"), series("/extra")],

@@ -24,7 +24,6 @@ JOINT_NAMES = st.lists(NAME, min_size=1, max_size=7, unique=True)
 
 @st.composite
 def recordings(draw: Any) -> tuple[list[str], tuple[bool, bool, bool], list[dict[str, Any]]]:
-    """Draw joint names, which arrays are there, and messages with the joints in an order of their own."""
     names = draw(JOINT_NAMES)
     present = draw(st.tuples(st.booleans(), st.booleans(), st.booleans()))
     messages = []
@@ -37,7 +36,7 @@ def recordings(draw: Any) -> tuple[list[str], tuple[bool, bool, bool], list[dict
     return names, present, messages
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(recordings(), st.booleans())
 def test_arrays_are_what_was_written(recording: Any, ros1: bool) -> None:
     """Whatever the names, their order, the arrays present and the numbers, reading gives the written bits."""

@@ -77,7 +77,6 @@ Start = Callable[..., Process]
 
 @pytest.fixture
 def start(ros_domain: int, warm: None) -> Iterator[Start]:  # noqa: ARG001 - what they do is done
-    """Return a function that starts a Python process; all are ended with the test."""
     processes: list[Process] = []
 
     def run(*arguments: str, **options: Any) -> Process:
@@ -91,7 +90,6 @@ def start(ros_domain: int, warm: None) -> Iterator[Start]:  # noqa: ARG001 - wha
 
 
 def record(start: Start, output: Path, *arguments: str, ready: int = 0, **options: Any) -> Process:
-    """Start `rx90 bag record`; wait until so many topics are ready."""
     recorder = start("-m", "rx90_emulator", "bag", "record", "-o", str(output), *arguments, **options)
     if ready:
         recorder.wait_for(f"ready: all topics are matched, recording {ready} topic")
@@ -106,8 +104,6 @@ def node(ros_domain: int) -> Iterator[Node]:
 
 
 class Suite:
-    """All topics of the suite, published as its nodes do, with numbers of the tick."""
-
     def __init__(self, node: Node, depth: int = 20_000) -> None:
         from rcl_interfaces.msg import ParameterEvent
         from rclpy.parameter import Parameter
@@ -154,7 +150,6 @@ class Suite:
 
 
 def record_suite(start: Start, ros_domain: int, folder: Path) -> Path:
-    """Record a run of the suite with the default topics; return the bag."""
     with own_node("suite", ros_domain) as node:
         suite = Suite(node)
         recorder = record(start, folder / "bag", ready=len(SUITE_TOPICS))

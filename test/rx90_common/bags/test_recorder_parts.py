@@ -37,7 +37,6 @@ class Publisher:
         self._begin_ns = time.time_ns()
 
     def take(self) -> Arrived:
-        """Return a message, or none while a lost one is awaited."""
         if self.taken == SENT_BEFORE // 2 and time.monotonic() < self._resent:
             return Arrived(self.source, [], np.empty(0, dtype=np.int64))
         self.taken += 1
@@ -68,7 +67,6 @@ def lost(counter: SequenceCounter) -> int:
 
 
 def count(counter: SequenceCounter, *numbers: int) -> SequenceCounter:
-    """Count messages with these numbers, one after the other."""
     for number in numbers:
         counter.add(np.array([number]))
     return counter

@@ -198,14 +198,27 @@ def test_an_index_that_leads_elsewhere_is_refused(tmp_path: Path, fault: str) ->
         read_all(file)
 
 
-def write_mcap(path: Path, compression: CompressionType, index: IndexType) -> Path:
-    """Write 20 messages in several chunks by the mcap project's writer."""
-    writer = McapWriter(str(path), chunk_size=500, compression=compression, index_types=index)
-    writer.start("ros2")
-    channel = writer.register_channel("/x", "cdr", writer.register_schema(JOINT_STATE, "ros2msg", b""))
-    for stamp in range(20):
-        data = bytes(ROS2.serialize_cdr(joint_state(stamp, ["a"], [1.0]), JOINT_STATE))
-        writer.add_message(channel, log_time=stamp, publish_time=stamp, data=data)
+INDEXES = {"all": IndexType.ALL, "none of chunks": IndexType.MESSAGE, "no chunks": IndexType.ALL,
+           "no summary": IndexType.NONE}  # fmt: skip
+
+
+def write_mcap(path: Path, compression: CompressionType, index: str) -> Path:
+    """Write three topics by the mcap project's writer, two of them half the time, with less and less of an index."""
+    summary = index != "no summary"
+    writer = McapWriter(
+        str(path), chunk_size=500, compression=compression, index_types=INDEXES[index],
+        use_chunking=index != "no chunks", use_statistics=summary, use_summary_offsets=summary,
+        repeat_channels=summary, repeat_schemas=summary,
+    )  # fmt: skip
+    writer.start(profile="ros2")
+    joints, late, other = (
+        writer.register_channel(topic, "cdr", writer.register_schema(kind, "ros2msg", b""))
+        for topic, kind in (("/joint_states", JOINT_STATE), ("/late", JOINT_STATE), ("/other", "a/msg/B"))
+    )
+    for stamp in STAMPS[::-1] if index == "all" else STAMPS:
+        data = bytes(ROS2.serialize_cdr(joint_state(stamp, ["a"], [stamp * 1e-9]), JOINT_STATE))
+        writer.add_message(joints, log_time=stamp, publish_time=stamp, data=data)
+        writer.add_message(other if stamp < STAMPS[20] else late, log_time=stamp, publish_time=stamp, data=data)
     writer.finish()
     return path
 
@@ -217,9 +230,8 @@ def undamaged(folder: Path, kind: str) -> Path:
     if kind == "ros1":
         messages = [("/x", i, joint_state(i, ["a"], [1.0], store=ROS1)) for i in range(20)]
         return write_ros1(folder / "bag.bag", messages)
-    if kind == "zstd":
-        return write_mcap(folder / "bag.mcap", CompressionType.ZSTD, IndexType.ALL)
-    return write_mcap(folder / "bag.mcap", CompressionType.LZ4, IndexType.NONE)
+    index = "all" if kind == "zstd" else "no summary"
+    return write_mcap(folder / "bag.mcap", CompressionType[kind.upper()], index)
 
 
 @pytest.mark.slow
@@ -295,33 +307,13 @@ def test_types_that_cannot_be_parsed_and_compressed_bags(
     assert f"{bag}: 42 messages\n" in capsys.readouterr().out
 
 
-INDEXES = {"all": IndexType.ALL, "none of chunks": IndexType.MESSAGE, "no chunks": IndexType.ALL,
-           "no summary": IndexType.NONE}  # fmt: skip
-
-
 @pytest.mark.parametrize("index", INDEXES)
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD])
 def test_an_mcap_file_is_read_by_whatever_index_it_has(
     tmp_path: Path, index: str, compression: CompressionType
 ) -> None:
     """Files of the mcap project's writer, with less and less of an index, in any order of time, by chosen topics."""
-    path = tmp_path / "bag.mcap"
-    summary = index != "no summary"
-    writer = McapWriter(
-        str(path), chunk_size=500, compression=compression, index_types=INDEXES[index],
-        use_chunking=index != "no chunks", use_statistics=summary, use_summary_offsets=summary,
-        repeat_channels=summary, repeat_schemas=summary,
-    )  # fmt: skip
-    writer.start(profile="ros2")
-    joints, late, other = (
-        writer.register_channel(topic, "cdr", writer.register_schema(kind, "ros2msg", b""))
-        for topic, kind in (("/joint_states", JOINT_STATE), ("/late", JOINT_STATE), ("/other", "a/msg/B"))
-    )
-    for stamp in STAMPS[::-1] if index == "all" else STAMPS:
-        data = bytes(ROS2.serialize_cdr(joint_state(stamp, ["a"], [stamp * 1e-9]), JOINT_STATE))
-        writer.add_message(joints, log_time=stamp, publish_time=stamp, data=data)
-        writer.add_message(other if stamp < STAMPS[20] else late, log_time=stamp, publish_time=stamp, data=data)
-    writer.finish()
+    path = write_mcap(tmp_path / "bag.mcap", compression, index)
     assert {t.topic: t.count for t in summarise(path).topics} == {"/joint_states": 40, "/late": 20, "/other": 20}
     for topic, stamps in (("joint_states", STAMPS), ("late", STAMPS[20:])):
         assert read_joint_states(path, topic).stamp_ns.tolist() == stamps

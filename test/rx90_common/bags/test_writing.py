@@ -53,8 +53,6 @@ class ChecksummedWriter(McapWriter):
 
 
 class Theirs(Writer):
-    """rosbags' writer, message by message; checksums are put in afterwards."""
-
     STORAGE_PLUGINS = Writer.STORAGE_PLUGINS | {StoragePlugin.MCAP: ChecksummedWriter}
 
 

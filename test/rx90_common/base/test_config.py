@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rx90_common.base import share
@@ -35,7 +35,6 @@ Write = Callable[[str | bytes], Path]
 
 
 def refusal(call: Callable[[], Any], path: Path) -> str:
-    """Return the line with which a file is refused; it names the file and what is accepted."""
     with pytest.raises(ConfigError) as caught:
         call()
     text = str(caught.value)
@@ -133,6 +132,7 @@ VALUES = st.recursive(
 )
 
 
+@settings(max_examples=40)
 @given(st.dictionaries(WORDS, VALUES, min_size=1))
 def test_what_is_written_is_read_back(content: dict[str, Any]) -> None:
     """Any texts and numbers come back to the same bits, and a reader of YAML 1.1 sees the same."""

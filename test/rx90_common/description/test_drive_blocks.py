@@ -37,14 +37,21 @@ SENSOR = {"offset": [0.02] * 6, "noise": [0.01] * 6, "resolution": [0.005] * 6, 
 
 def test_the_blocks_are_read(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
     """What a file says is what the drives have, and what it leaves out what the declaration says."""
-    cogging = load_drives(edited_yaml(shipped_files.drives, ("cogging",), COGGING)).cogging
+
+    def with_block(name: str, content: Any) -> Any:
+        return getattr(load_drives(edited_yaml(shipped_files.drives, (name,), content)), name)
+
+    cogging = with_block("cogging", COGGING)
     assert np.array_equal(cogging.amplitude, COGGING["amplitude"])
     assert np.array_equal(cogging.phase, [[0.0] * 6] * 2)
-    winding = load_drives(edited_yaml(shipped_files.drives, ("winding",), WINDING)).winding
+    winding = with_block("winding", WINDING)
     assert (winding.initial, winding.reference, winding.coefficient) == (25.0, 20.0, 0.00393)
     assert winding.used
-    sensor = load_drives(edited_yaml(shipped_files.drives, ("current_sensor",), SENSOR)).current_sensor
-    assert sensor.used
+    assert with_block("current_sensor", SENSOR).used
+    whole, short = with_block("elasticity", ELASTICITY), with_block("elasticity", {"stiffness": STIFFNESS})
+    assert (whole.friction, short.friction) == (LINK, MOTOR)
+    assert whole.elastic.tolist() == [True, False, True, True, True, True]
+    assert not any([*short.damping, *short.backlash])
 
 
 @pytest.mark.parametrize("name", ["offset", "noise", "resolution"])
@@ -80,17 +87,6 @@ def test_values_that_do_not_fit_each_other_are_refused(
     line = refusal_by(load_drives, path)
     assert f"{path}: {said}" in line
     assert Cogging(harmonic=[1.0] * 8, amplitude=[[1.0] * 6] * 8).used
-
-
-def test_a_file_gives_elasticity_and_play(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
-    """Stiffness, damping, play and side are read; a block with a stiffness alone has neither damping nor play."""
-    found = load_drives(edited_yaml(shipped_files.drives, ("elasticity",), ELASTICITY)).elasticity
-    assert found.friction == LINK
-    assert found.elastic.tolist() == [True, False, True, True, True, True]
-    short = load_drives(edited_yaml(shipped_files.drives, ("elasticity",), {"stiffness": STIFFNESS})).elasticity
-    assert not any(short.damping)
-    assert not any(short.backlash)
-    assert short.friction == MOTOR
 
 
 @pytest.mark.parametrize("key", ["damping", "backlash"])

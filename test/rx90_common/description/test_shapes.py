@@ -39,7 +39,6 @@ def semantic(folder: Path) -> ET.Element:
 
 
 def disabled(semantic: ET.Element, reason: str) -> set[frozenset[str]]:
-    """Return the pairs of links that are not checked, for a reason."""
     pairs = semantic.findall(f"disable_collisions[@reason='{reason}']")
     return {frozenset((pair.attrib["link1"], pair.attrib["link2"])) for pair in pairs}
 

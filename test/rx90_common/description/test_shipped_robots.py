@@ -2,7 +2,7 @@
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,17 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.rigid_torque import rigid_torque
 from rx90_emulator.loop.setup import Setup
+
+
+def serial_arm(rows: Iterable[tuple[float, float, float, float]], bodies: Sequence[pin.Inertia]) -> pin.Model:
+    """Return the arm of modified Denavit-Hartenberg parameters a, d, alpha, theta."""
+    model = pin.Model()
+    for k, ((a, d, alpha, theta), body) in enumerate(zip(rows, bodies, strict=True)):
+        turn = pin.rpy.rpyToMatrix(alpha, 0.0, 0.0)
+        place = pin.SE3(turn @ pin.rpy.rpyToMatrix(0.0, 0.0, theta), turn @ [0.0, 0.0, d] + [a, 0.0, 0.0])
+        joint = model.addJoint(k, pin.JointModelRZ(), place, f"joint_{k + 1}")
+        model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+    return model
 
 
 def test_masses_with_and_without_tool(shipped_files: RobotFiles) -> None:
@@ -56,26 +67,10 @@ def test_published_limits(shipped: Setup) -> None:
 def test_published_dimensions(shipped_files: RobotFiles) -> None:
     """Straight up the flange is 0.42 + 0.985 m high; the arm reaches 0.985 m from axis 2 to any side."""
     chain = load_robot(shipped_files.urdf).chain
-    np.testing.assert_allclose(forward(chain, np.zeros(6)).position, [0, 0, 1.405], atol=1e-15)
-    np.testing.assert_allclose(
-        forward(chain, np.array([0.0, np.pi / 2, 0, 0, 0, 0])).position, [0.985, 0, 0.42], atol=1e-15
-    )
-    np.testing.assert_allclose(
-        forward(chain, np.array([0.0, 0, np.pi / 2, 0, 0, 0])).position, [0.535, 0, 0.87], atol=1e-15
-    )
-
-
-def _khalil_kleinfinger(theta: np.ndarray) -> np.ndarray:
-    """Return T06 of the published modified Denavit-Hartenberg parameters, coded from their definition."""
-    alpha = np.radians([0, 90, 0, -90, 90, -90])
-    d, r = [0, 0, 0.45, 0, 0, 0], [0, 0, 0, 0.45, 0, 0]
-    transform = np.eye(4)
-    for j in range(6):
-        ca, sa, ct, st = np.cos(alpha[j]), np.sin(alpha[j]), np.cos(theta[j]), np.sin(theta[j])
-        transform = transform @ np.array(
-            [[ct, -st, 0, d[j]], [ca * st, ca * ct, -sa, -r[j] * sa], [sa * st, sa * ct, ca, r[j] * ca], [0, 0, 0, 1]]
-        )
-    return transform
+    right = np.pi / 2
+    for shoulder, elbow, place in ((0, 0, [0, 0, 1.405]), (right, 0, [0.985, 0, 0.42]), (0, right, [0.535, 0, 0.87])):
+        pose = np.array([0.0, shoulder, elbow, 0.0, 0.0, 0.0])
+        np.testing.assert_allclose(forward(chain, pose).position, place, atol=1e-15)
 
 
 def test_angle_map_to_the_published_convention(shipped_files: RobotFiles) -> None:
@@ -83,14 +78,19 @@ def test_angle_map_to_the_published_convention(shipped_files: RobotFiles) -> Non
     robot = load_robot(shipped_files.urdf)
     rng = np.random.default_rng(5)
     offsets = []
+    alpha = np.radians([0, 90, 0, -90, 90, -90])
+    rows = zip((0, 0, 0.45, 0, 0, 0), (0, 0, 0, 0.45, 0, 0), alpha, np.zeros(6), strict=True)
+    model = serial_arm(rows, [pin.Inertia.Zero()] * 6)  # as Khalil and Kleinfinger have it
+    data = model.createData()
     for _ in range(20):
         q = rng.uniform(robot.lower, robot.upper)
         theta = np.array([q[0], np.pi / 2 - q[1], -np.pi / 2 - q[2], q[3], -q[4], q[5]])
-        published = _khalil_kleinfinger(theta)
+        pin.forwardKinematics(model, data, theta)
+        published = data.oMi[6]
         pose = forward(robot.chain, q)
         wrist = pose.position - 0.085 * pose.rotation[:, 2]
-        np.testing.assert_allclose(wrist - [0, 0, 0.42], published[:3, 3], atol=1e-14)
-        offsets.append(pose.rotation.T @ published[:3, :3])
+        np.testing.assert_allclose(wrist - [0, 0, 0.42], published.translation, atol=1e-14)
+        offsets.append(pose.rotation.T @ published.rotation)
     # The conventions differ by one fixed rotation of the last frame, which keeps axis 6.
     np.testing.assert_allclose(offsets, np.broadcast_to(offsets[0], (20, 3, 3)), atol=1e-14)
     np.testing.assert_allclose(offsets[0][:, 2], [0, 0, 1], atol=1e-14)
@@ -122,47 +122,20 @@ INERTIA = (
 ROTOR = (0.362, 0.507, 0.0829, 0.0341, 0.0361, 0.0114)
 
 
-def frames(q: Array) -> list[tuple[Array, Array]]:
-    found = []
-    for i in range(6):
-        c, s, ca, sa = math.cos(q[i] + THETA[i]), math.sin(q[i] + THETA[i]), math.cos(ALPHA[i]), math.sin(ALPHA[i])
-        rotation = np.array([[c, -s, 0.0], [ca * s, ca * c, -sa], [sa * s, sa * c, ca]])
-        found.append((rotation, np.array([A[i], -sa * D[i], ca * D[i]])))
-    return found
-
-
-def newton_euler(q: Array, v: Array, a: Array) -> Array:
-    """Return the links' torque on the joints by the recursion in the DH frames (Khalil and Dombre), Nm, shape (6,)."""
-    z = np.array([0.0, 0.0, 1.0])
-    omega, alpha, acceleration = np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 9.81])
-    chain, wrenches = frames(q), []
-    for i, (rotation, origin) in enumerate(chain):
-        acceleration = rotation.T @ (
-            acceleration + np.cross(alpha, origin) + np.cross(omega, np.cross(omega, origin))
-        )  # fmt: skip
-        turned = rotation.T @ omega
-        alpha = rotation.T @ alpha + a[i] * z + np.cross(turned, v[i] * z)
-        omega = turned + v[i] * z
-        xx, xy, xz, yy, yz, zz = INERTIA[i]
-        inertia, moment = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), np.array(FIRST_MOMENT[i])
-        force = MASS[i] * acceleration + np.cross(alpha, moment) + np.cross(omega, np.cross(omega, moment))
-        torque = inertia @ alpha + np.cross(omega, inertia @ omega) + np.cross(moment, acceleration)
-        wrenches.append((force, torque))
-    force, torque, result = np.zeros(3), np.zeros(3), np.zeros(6)
-    for i in reversed(range(6)):
-        force, torque = force + wrenches[i][0], torque + wrenches[i][1]
-        result[i] = torque[2]
-        rotation, origin = chain[i]
-        force = rotation @ force
-        torque = rotation @ torque + np.cross(origin, force)
-    return result
+def torques(model: pin.Model, q: Array, v: Array, a: Array) -> Array:
+    data = model.createData()
+    return np.array([pin.rnea(model, data, *state) for state in zip(q, v, a, strict=True)])
 
 
 def test_the_torque_is_that_of_the_published_parameters(tx40: Setup) -> None:
     """At random states the URDF gives the torque of the published DH parameters, and motor 6's rotor acts twice."""
     rng = np.random.default_rng(40)
     q, v, a = (scale * rng.uniform(-1.0, 1.0, (40, 6)) for scale in (3.0, 4.0, 20.0))
-    want = np.array([newton_euler(*state) for state in zip(q, v, a, strict=True)])
+    bodies = [
+        pin.Inertia.FromDynamicParameters(np.array([mass, *moment, xx, xy, yy, xz, yz, zz]))
+        for mass, moment, (xx, xy, xz, yy, yz, zz) in zip(MASS, FIRST_MOMENT, INERTIA, strict=True)
+    ]
+    want = torques(serial_arm(zip(A, D, ALPHA, THETA, strict=True), bodies), q, v, a)
     want[:, :5] += a[:, :5] * ROTOR[:5]
     want[:, 4:] += (ROTOR[5] * (a[:, 4] + a[:, 5]))[:, None]
     got = rigid_torque(tx40.robot.model, tx40.drives.rotor_matrix, tx40.drives.spring_torque, q, v, a)
@@ -225,17 +198,11 @@ def panda() -> Setup:
 
 @pytest.fixture(scope="module")
 def published() -> pin.Model:
-    """Return the published arm: its frames by Denavit and Hartenberg, its bodies by Gaz."""
-    model = pin.Model()
-    for k, ((a, d, alpha), (mass, center, inertia)) in enumerate(zip(DH, LINKS, strict=True)):
-        c, s = math.cos(alpha), math.sin(alpha)
-        rotation = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-        place = pin.SE3(rotation, np.array([a, -s * d, c * d]))
-        joint = model.addJoint(k, pin.JointModelRZ(), place, f"joint_{k + 1}")
-        xx, xy, xz, yy, yz, zz = inertia
-        about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        model.appendBodyToJoint(joint, pin.Inertia(mass, np.array(center), about), pin.SE3.Identity())
-    return model
+    bodies = []
+    for mass, center, (xx, xy, xz, yy, yz, zz) in LINKS:
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        bodies.append(pin.Inertia(mass, np.array(center), inertia))
+    return serial_arm([(*row, 0.0) for row in DH], bodies)
 
 
 def test_the_flange_is_where_the_published_frames_put_it(panda: Setup, published: pin.Model) -> None:
@@ -253,8 +220,7 @@ def test_the_torques_are_those_of_the_published_model(panda: Setup, published: p
     middle, reach = (robot.lower + robot.upper) / 2.0, (robot.upper - robot.lower) / 2.0
     q = middle + 0.6 * reach * rng.uniform(-1.0, 1.0, (300, 7))
     v, a = (0.5 * rng.uniform(-1.0, 1.0, (300, 7)) * scale for scale in (robot.max_velocity, 4.0))
-    models = [(model, model.createData()) for model in (robot.model, published)]
-    got, want = (np.array([pin.rnea(*one, *row) for row in zip(q, v, a, strict=True)]) for one in models)
+    got, want = (torques(model, q, v, a) for model in (robot.model, published))
     assert np.linalg.norm(got - want) < 0.04 * np.linalg.norm(want)
     assert (np.linalg.norm(got - want, axis=0) > 0.0).all(), "the published model itself, not an identified one"
 

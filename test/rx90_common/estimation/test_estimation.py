@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.stats import t
 
 from rx90_common.base.arrays import Array
-from rx90_common.estimation.choose import Gain, choose, held_out_squares, needed_errors
+from rx90_common.estimation.choose import choose, held_out_squares, needed_errors
 from rx90_common.estimation.deviations import deviations, law_deviations
 from rx90_common.estimation.elements import FrictionRows, SteadyRows, fit_laws
 from rx90_common.estimation.fit import Problem, fit
@@ -227,22 +227,6 @@ def test_evidence_for_an_exponent_is_that_of_the_whole_arm(seed: int) -> None:
         rows = sweeps([strong, strong, weak], seed, noise=0.01, common=0.02)
         chosen = choose(rows, [Part.EXPONENT], [Law()] * 3)
         assert chosen.laws[2].parts == expected
-
-
-@pytest.mark.parametrize(
-    ("gain", "kept"),
-    [
-        (Gain(0.03, 0.02, together=True), True),
-        (Gain(0.01, 0.02, together=True), True),
-        (Gain(-0.01, 0.02, together=True), False),
-        (Gain(0.01, 0.02), False),
-        (Gain(0.03, 0.02, "alpha", together=True), False),
-        (Gain(0.03, 0.02, errors=2.0), False),
-    ],
-)
-def test_all_elements_together_decide_where_one_is_not_clear(gain: Gain, kept: bool) -> None:
-    """Kept by its own, by all, or not; a negative gain and a bound are reasons of its own."""
-    assert gain.kept == kept
 
 
 def test_a_bristle_beside_rise_and_exponent_needs_one_standard_error() -> None:

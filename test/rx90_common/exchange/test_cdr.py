@@ -29,14 +29,12 @@ numbers = st.floats(allow_nan=False, allow_infinity=False)
 
 @st.composite
 def messages(draw):
-    """Draw names, frame_id, stamp and three arrays, each perhaps None."""
     names = draw(names_of_joints)
     array = st.none() | st.lists(numbers, min_size=len(names), max_size=len(names)).map(np.array)
     return names, draw(frames), draw(stamps), [draw(array) for _ in range(3)]
 
 
 def rosbags_bytes(names, frame_id, stamp_ns, arrays, *, little_endian=True):
-    """Serialise with rosbags, whose padding is zero."""
     types = STORE.types
     header = types["std_msgs/msg/Header"](
         stamp=types["builtin_interfaces/msg/Time"](sec=stamp_ns // NS, nanosec=stamp_ns % NS), frame_id=frame_id
@@ -47,7 +45,6 @@ def rosbags_bytes(names, frame_id, stamp_ns, arrays, *, little_endian=True):
 
 
 def assert_same(decoded, stamp_ns, arrays):
-    """Compare a decoded message bit for bit."""
     assert decoded[0] == stamp_ns
     for got, expected in zip(decoded[1:], arrays, strict=True):
         if expected is None:
@@ -104,7 +101,6 @@ def test_damaged_bytes_never_pass_silently_or_crash(at, damage, length):
 
 
 def encoded(names=MOTORS, arrays=None):
-    """Return a message that a foreign publisher could send."""
     return rosbags_bytes(names, "", 0, (None, None, np.ones(6)) if arrays is None else arrays)
 
 

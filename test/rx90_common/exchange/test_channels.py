@@ -37,7 +37,6 @@ time.sleep(60)
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
-    """Give a client on a domain that only this module's tests use, each with topics of its own."""
     logs = tmp_path_factory.mktemp("logs")
     with pytest.MonkeyPatch.context() as patch, on_own_domain(patch, logs), closing(Client()) as started:
         yield started

@@ -34,7 +34,6 @@ class Controller:
         self.side = lockstep.LockstepSimulation(self, self.said.append, None, self.usable)  # type: ignore[arg-type]
 
     def usable(self, raw: bytes) -> bool:
-        """Return whether a command is finite; say so where it is not."""
         try:
             CODEC.decode(raw)
         except ExchangeError:
@@ -46,7 +45,6 @@ class Controller:
         self.sent.append(raw)
 
     def receive(self, timeout_s: float) -> bytes | None:
-        """Return the next message, or None after the timeout."""
         if not self.inbox:
             self.passed += timeout_s
             self.on_wait()
@@ -56,7 +54,6 @@ class Controller:
         return self.peers
 
     def exchange(self, tick: int, interrupted: Callable[[], bool] = lambda: False) -> bytes | None:
-        """Send the states of a tick; return the command."""
         return self.side.exchange(tick * PERIOD, message(tick), interrupted)
 
 

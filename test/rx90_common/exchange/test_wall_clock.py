@@ -1,13 +1,11 @@
-"""The pacer, throttled lines and waits for listeners against a clock made by hand; what the simulation says of time."""
+"""The pacer, throttled lines and waits for listeners against a clock made by hand."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rx90_common.base.rates import Rates
 from rx90_common.exchange.endpoints import STATE_QOS, TICK_QOS, Listeners
 from rx90_common.exchange.pacing import Pacer, ThrottledLog
-from rx90_common.exchange.topics import TimeMode
 
 PERIOD = 0.00025
 
@@ -30,7 +28,6 @@ class Clock:
 
 
 def pacer(clock: Clock, factor: float) -> Pacer:
-    """Return a pacer of 4 kHz on this clock."""
     return Pacer(PERIOD, factor, clock.read, clock.sleep)
 
 
@@ -121,7 +118,6 @@ class Topic:
         return 1
 
     def wait_for_all_acked(self, timeout: object) -> bool:
-        """Wait for the timeout, or until all has arrived."""
         seconds = timeout.nanoseconds * 1e-9  # type: ignore[attr-defined]
         if self.arrived_at is None:
             self.arrived_at = self.now + self.slowness
@@ -163,11 +159,3 @@ def test_who_is_gone_or_who_interrupts_is_not_waited_for() -> None:
     for _ in range(TICK_QOS.depth):
         waiting.tick_done()
     assert topic.now < before + 0.1
-
-
-def test_the_text_carries_mode_and_rates() -> None:
-    """What is written can be read, and is readable."""
-    for name, text in ((None, ""), ("my arm", " robot=my arm")):
-        mode = TimeMode("free_running", Rates(8000, 2000), name)
-        assert mode.text == f"free_running base_rate=8000 position_rate=2000{text}"
-        assert TimeMode.parse(mode.text) == mode

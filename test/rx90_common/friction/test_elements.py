@@ -1,4 +1,4 @@
-"""Elements as compiled code has them, side by side, and the bristle that follows the load below break-away."""
+"""Elements as compiled code has them, side by side."""
 
 from typing import Any
 
@@ -8,11 +8,9 @@ import pytest
 from bristle_oracles import random_element
 
 from rx90_common.base.arrays import Array
-from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import bristle_step, friction_torque
-from rx90_common.friction.compiled_elements import element_arrays, load_elements, one_element, prescribed_torque
+from rx90_common.friction.compiled_elements import element_arrays, load_elements, one_element
 from rx90_common.friction.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
-from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_common.kernels.lanes import load, store
 
 STEP = 2.5e-4
@@ -57,24 +55,3 @@ def test_the_set_equals_its_elements(deltas: list[float], alphas: list[float]) -
             single = [*bristle_step(one, *at, STEP), friction_torque(one, *at)]
             single += [*elasto_plastic_step(one, away[i], *at, STEP), elasto_plastic_torque(one, away[i], *at)]
             assert out[:, i].tolist() == single
-
-
-PLAIN = FrictionElement(tau_c=25.0, tau_s=28.0, omega_s=0.05, delta=1.0, c0=1e5, c1=100.0, c2=14.0)
-
-
-@pytest.mark.parametrize(
-    "bristles", [ElastoPlastic(break_away=0.7), MaxwellSlip(stiffness=(0.6, 0.4), share=(0.7, 0.3), attraction=5000.0)]
-)
-def test_other_bristles_are_springs_below_break_away(bristles: BristlesPart) -> None:
-    """Below break-away the mean torque of a step is c0 x + (c1 + c2) v in its middle; LuGre's beside it bends."""
-    steps = np.full(400, 1e-3)
-    steps[[0, 200]] = 0.0
-    time = np.cumsum(steps)
-    velocity = np.where(steps > 0.0, 2e-4 * np.pi * np.cos(2.0 * np.pi * 5.0 * time), 0.0)
-    middle = np.cumsum(velocity * steps) - 0.5 * velocity * steps
-    elements = (PLAIN, PLAIN.replaced(bristles=bristles))
-    lugre, other = prescribed_torque(elements, np.column_stack([velocity, velocity]), steps).T
-    exact = 1e5 * middle + (100.0 + 14.0) * velocity
-    assert np.ptp(exact) > 3.0
-    assert other == pytest.approx(exact, abs=1e-9)
-    assert np.abs(lugre - exact).max() > 1e-3

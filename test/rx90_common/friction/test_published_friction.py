@@ -177,7 +177,6 @@ def far_from_reversals(k: float, f_v: float, f_o: float, f_c: float, alpha: floa
 
 
 def published() -> Mapping[str, Mapping[str, Sliding]]:
-    """Return what the sources come to at the joints, by file and element."""
     inner = [Sliding((abs(i) * r0, abs(i) * r0), i**2 * r1, abs(i) * r0) for i, r0, r1 in R3_INNER]
     outer = [Sliding((r0, r0), r1, peak * r0) for r0, r1, peak in R3_OUTER]
     bam = {
@@ -194,8 +193,8 @@ def published() -> Mapping[str, Mapping[str, Sliding]]:
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in config_path("friction").glob("*.yaml")))
-def test_numbers_are_the_sources_converted(name: str) -> None:
-    """Each torque and viscous value is the source's, brought to the joint; what the source lacks has no effect."""
+def test_numbers_are_the_sources_converted_and_bristles_are_called_assumed(name: str) -> None:
+    """Each torque is the source's, at the joint; bristles, passive, follow from static torque by a deflection."""
     file = FrictionFile.read(config_path(f"friction/{name}.yaml"))
     expected = published()[name]
     assert [element for element in file.elements.entries if element not in BY_LOAD] == list(expected)
@@ -208,12 +207,6 @@ def test_numbers_are_the_sources_converted(name: str) -> None:
         if given.omega_s is not None:
             assert (one.omega_s, one.delta) == pytest.approx((given.omega_s, given.delta), rel=SIX_DIGITS)
         assert one.alpha == 1.0
-
-
-@pytest.mark.parametrize("name", sorted(path.stem for path in config_path("friction").glob("*.yaml")))
-def test_what_is_assumed_is_as_the_file_says(name: str) -> None:
-    """Bristles follow from the static torque by the deflection that is named, are passive, and are called assumed."""
-    file = FrictionFile.read(config_path(f"friction/{name}.yaml"))
     said = file.elements
     assert file.provenance == "assumed"
     assert not {"c0", "c1", "omega_d"} & set(said.provenance)

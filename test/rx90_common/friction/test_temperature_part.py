@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from parted_joint import Array, Seven, along, any_element
+from parted_joint import Array, Seven, along, any_element, steady
 from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 
@@ -16,7 +16,6 @@ BATCHES = -(-SETS // 7)
 
 
 def any_warmth(rng: np.random.Generator, **values: Any) -> TemperaturePart:
-    """Return a part with all its values drawn, time constants from 50 to 200 s."""
     reference, resistance = rng.uniform(30, 50), 10.0 ** rng.uniform(-2, 0)
     drawn = {
         "reference": reference, "lowest": 20.0, "highest": 190.0, "start": rng.uniform(20, 60), "ambient": 20.0,
@@ -25,19 +24,6 @@ def any_warmth(rng: np.random.Generator, **values: Any) -> TemperaturePart:
         "static_slope": rng.uniform(-0.005, 0.03),
     }  # fmt: skip
     return TemperaturePart(**(drawn | values))
-
-
-def friction(element: FrictionElement, temperature: float, velocity: float) -> float:
-    """Return the torque of steady sliding at a temperature, by the equations of Bittencourt and Gunnarsson."""
-    part = element.temperature
-    above, speed = min(temperature, part.highest) - part.reference, abs(velocity)
-    coulomb, static = (
-        element.parameters[f"{name}_{'positive' if velocity >= 0 else 'negative'}"] for name in ("tau_c", "tau_s")
-    )
-    fading = np.exp(-((speed / (element.omega_s * (1 + part.speed_slope * above))) ** element.delta))
-    viscous = element.c2 * (part.viscous_floor + (1 - part.viscous_floor) * np.exp(-above / part.viscous_scale))
-    stribeck = (static - coulomb) * (1 + part.static_slope * above) * fading
-    return float(np.sign(velocity) * (coulomb + stribeck + viscous * speed**element.alpha))
 
 
 def sliding(velocity: Array | float, steps: int) -> Array:
@@ -52,7 +38,7 @@ def test_steady_sliding_at_a_temperature() -> None:
         elements = [any_element(rng, temperature=any_warmth(rng, capacity=1e9, resistance=1e6)) for _ in range(7)]
         for velocity in (0.3, -0.3, 0.004, -0.004):
             torque, _ = along(Seven.of(elements), sliding(velocity, 2), 10.0)
-            want = [friction(e, e.temperature.start, velocity) for e in elements if e.temperature]
+            want = [steady(e, velocity, warm=e.temperature.start) for e in elements if e.temperature]
             assert torque[-1] == pytest.approx(want, rel=1e-9)
 
 
@@ -76,7 +62,12 @@ def test_friction_that_warms_itself_against_a_solver() -> None:
     for _ in range(BATCHES):
         elements = [any_element(rng, temperature=any_warmth(rng), c0=1e12) for _ in range(7)]
         velocity = np.array([rng.uniform(0.02, 60.0 / e.tau_s.positive) for e in elements]).clip(max=2.0)
-        coarse, fine = (_after(elements, velocity, duration, steps) for steps in (3000, 6000))
+        ends = []
+        for steps in (3000, 6000):
+            seven = Seven.of(elements, duration / steps)
+            along(seven, sliding(velocity, steps), duration / steps)
+            ends.append(np.array(seven.states["temperature"]["temperature"][0]))
+        coarse, fine = ends
         start = np.array([e.temperature.start for e in elements if e.temperature])
         want = _solved(elements, velocity, duration)
         assert np.abs(want - start).max() > 1.0
@@ -85,48 +76,16 @@ def test_friction_that_warms_itself_against_a_solver() -> None:
 
 
 def _solved(elements: list[FrictionElement], velocity: Array, duration: float) -> Array:
-    """Return the temperatures after a time at constant velocities, by SciPy."""
     parts = [e.temperature for e in elements if e.temperature]
 
     def rates(_: float, now: Array) -> Array:
         each = zip(elements, parts, now, velocity, strict=True)
         return np.array([
-            (friction(e, t, v) * v - (t - part.ambient) / part.resistance) / part.capacity for e, part, t, v in each
+            (steady(e, v, warm=t) * v - (t - part.ambient) / part.resistance) / part.capacity for e, part, t, v in each
         ])  # fmt: skip
 
     start = np.array([part.start for part in parts])
     return np.asarray(solve_ivp(rates, (0.0, duration), start, "DOP853", rtol=1e-11, atol=1e-11).y[:, -1])
-
-
-def _after(elements: list[FrictionElement], velocity: Array, duration: float, steps: int) -> Array:
-    seven = Seven.of(elements, duration / steps)
-    along(seven, sliding(velocity, steps), duration / steps)
-    return np.array(seven.states["temperature"]["temperature"][0])
-
-
-def test_heat_in_is_heat_stored_and_given_away() -> None:
-    """Along a random motion work = bristles + heat, and heat = capacity dT + what goes to the surroundings."""
-    rng, step = np.random.default_rng(5), 0.01
-    elements = [any_element(rng, temperature=any_warmth(rng)) for _ in range(7)]
-    parts = [e.temperature for e in elements if e.temperature]
-    constant = np.array([part.resistance * part.capacity for part in parts])
-    away, resistance = np.zeros(7), np.array([part.resistance for part in parts])
-    seven = Seven.of(elements, step)
-    start = seven.states["temperature"]["temperature"][0].copy()
-    mechanical, bristles = np.zeros(7), np.zeros(7)
-    for _ in range(300):
-        motion = np.zeros((1, 3, 7))
-        motion[:, 1] = 0.5 * rng.standard_normal(7)
-        before, had = (seven.states["temperature"][name][0].copy() for name in ("temperature", "heat"))
-        torque, stored = along(seven, motion, step)
-        power = (seven.states["temperature"]["heat"][0] - had) / step
-        mechanical, bristles = mechanical + step * torque[0] * motion[0, 1], stored[0]
-        above = before - 20.0 - resistance * power
-        away += power * step - above * constant / resistance * np.expm1(-step / constant)
-    heat = seven.states["temperature"]["heat"][0]
-    risen = seven.states["temperature"]["temperature"][0] - start
-    assert heat == pytest.approx(mechanical - bristles, rel=1e-12)
-    assert heat == pytest.approx(constant / resistance * risen + away, rel=1e-6)
 
 
 @pytest.mark.parametrize(("speed_slope", "static_slope"), [(-0.004, -0.003), (0.02, 0.015)])

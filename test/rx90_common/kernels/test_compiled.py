@@ -38,7 +38,6 @@ def said(running: subprocess.Popen[str]) -> tuple[str, str]:
 
 
 def copy_sources(folder: Path) -> Path:
-    """Copy the sources of the ground into a folder, with times of their own; return the folder."""
     shutil.copytree(ROOT / "rx90_common", folder / "rx90_common", ignore=shutil.ignore_patterns("__pycache__"))
     for file in folder.rglob("*.py"):
         os.utime(file)

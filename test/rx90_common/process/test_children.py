@@ -102,7 +102,7 @@ def test_a_child_ends_with_a_parent_that_is_killed(
 
 def test_more_interrupts_leave_no_child_behind(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where Ctrl-C and SIGTERM come again while the children end, these are ended all the same."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     group = ProcessGroup(grace=0.5)
     stubborn = group.start("stubborn", [sys.executable, "-c", STUBBORN])
     wait = stubborn.wait
@@ -117,11 +117,8 @@ def test_more_interrupts_leave_no_child_behind(monkeypatch: pytest.MonkeyPatch) 
             stubborn.wait_for("child")
             monkeypatch.setattr(stubborn, "wait", interrupted)
 
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            leave()
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    with pytest.raises(KeyboardInterrupt):
+        leave()
     assert stubborn.returncode == -signal.SIGTERM
 
 

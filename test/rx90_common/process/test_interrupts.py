@@ -37,13 +37,10 @@ def test_an_interrupt_waits(check: bool) -> None:
 
 def test_an_ignored_signal_stays_ignored() -> None:
     """Where a parent told the process to ignore Ctrl-C, the block does not take it up."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        with deferred_interrupts() as check:
-            signal.raise_signal(signal.SIGINT)
-            check()
-    finally:
-        signal.signal(signal.SIGINT, before)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with deferred_interrupts() as check:
+        signal.raise_signal(signal.SIGINT)
+        check()
 
 
 class _Interrupted:
@@ -53,7 +50,6 @@ class _Interrupted:
 
 def test_an_interrupt_where_it_would_get_lost_comes_later() -> None:
     """Exceptions of destructors get lost; the interrupt is raised in what follows."""
-    before = signal.getsignal(signal.SIGINT)
     install_deferred_sigint()
 
     def wait() -> None:
@@ -62,28 +58,20 @@ def test_an_interrupt_where_it_would_get_lost_comes_later() -> None:
         while time.monotonic() < deadline:
             time.sleep(0.01)
 
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            wait()
-    finally:
-        signal.signal(signal.SIGINT, before)
+    with pytest.raises(KeyboardInterrupt):
+        wait()
 
 
 @pytest.fixture
-def handlers() -> Iterator[None]:
-    """Give the handlers back after the test, and end a test that stands still."""
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
-    before = [signal.getsignal(number) for number in numbers]
-
+def alarmed() -> Iterator[None]:
     def stands_still(_number: int, _frame: FrameType | None) -> None:
         raise TimeoutError("stands still")
 
-    signal.signal(signal.SIGALRM, stands_still)
+    before = signal.signal(signal.SIGALRM, stands_still)
     signal.alarm(20)
     yield
     signal.alarm(0)
-    for number, handler in zip(numbers, before, strict=True):
-        signal.signal(number, handler)
+    signal.signal(signal.SIGALRM, before)
 
 
 def _interrupted_at(step: int, call: Callable[[], object]) -> bool:
@@ -108,7 +96,7 @@ def _interrupted_at(step: int, call: Callable[[], object]) -> bool:
     return left < 0
 
 
-@pytest.mark.usefixtures("handlers")
+@pytest.mark.usefixtures("alarmed")
 @pytest.mark.parametrize("call", [lambda stop: stop.wait(1e-3), StopRequest.set])
 def test_a_request_to_end_comes_at_any_step(call: Callable[[StopRequest], object]) -> None:
     """Between any two steps of a wait for it, or of another signal's handler, it is heard and nothing stands still."""

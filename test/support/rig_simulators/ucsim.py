@@ -32,11 +32,7 @@ def simulator() -> str | None:
 
 
 class UcsimBoard:
-    """The Board interface around s51.
-
-    Args:
-        seed: of the RAM's random contents at power-up.
-    """
+    """The Board interface around s51; `seed` is of the RAM's random contents at power-up."""
 
     def __init__(self, library: Path, firmware: Path, seed: int = 1) -> None:
         program = simulator()
@@ -70,7 +66,6 @@ class UcsimBoard:
         self._console([])
 
     def _console(self, lines: list[str]) -> list[int]:
-        """Run console commands; return the numbers that they print, in order."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.write("\n".join([*lines, MARK, ""]))
@@ -133,10 +128,7 @@ class UcsimBoard:
         self._target = float(self._clock)
 
     def clock_when(self, address: int, value: int, not_before: int = 0) -> int:
-        """Run until the byte of internal RAM at `address` is `value`; return the clock then.
-
-        Up to the clock `not_before` in large steps, afterwards by single instructions.
-        """
+        """Return the clock when a byte of internal RAM becomes `value`; by single instructions from `not_before` on."""
         for _ in range(100_000):
             count = 250 if self._clock < not_before else 1
             *_, found, self._clock = self._console([f"step {count}", f"expr iram[{address}]", "expr sim_ticks"])
@@ -147,7 +139,6 @@ class UcsimBoard:
 
     @property
     def time(self) -> float:
-        """Return simulated time, s."""
         return self._clock / (CRYSTAL_MHZ * 1e6)
 
     @property
@@ -156,7 +147,6 @@ class UcsimBoard:
 
     @property
     def stage_on(self) -> bool:
-        """Return whether the power stage is enabled: its bit of P3 low."""
         return not self._port3 & self.stage
 
     def close(self) -> None:
