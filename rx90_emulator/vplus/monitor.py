@@ -21,6 +21,7 @@ from pinocchio import SE3
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import plain
 from rx90_common.exchange.pacing import Pacer
+from rx90_common.process.files import write_all
 from rx90_emulator.vplus.cell import Cell
 from rx90_emulator.vplus.instructions import CONTROL, typed_numbers
 from rx90_emulator.vplus.program import global_variable, load_programs, parse, parse_line, read
@@ -206,6 +207,8 @@ class Monitor:
                 yield from self._command(line.strip())
             except VplusError as error:
                 yield f"{error.message} {error.detail}".rstrip()
+            except RecursionError:
+                yield "*Expression too complex*"
             except (Rx90Error, SyntaxError) as error:
                 yield f"*{str(error).strip('*')}*"
 
@@ -416,7 +419,7 @@ def _store(monitor: Monitor, text: str) -> None:
     file = _file(monitor, name.strip())
     if file.exists():
         raise VplusError("File already exists", file.name)
-    file.write_text("\n".join(lines) + "\n", encoding="latin-1")
+    write_all({file: "\n".join([*lines, ""]).encode("latin-1")})
 
 
 def _delete(monitor: Monitor, text: str) -> Dialogue:

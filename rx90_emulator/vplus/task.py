@@ -212,15 +212,17 @@ class Task:
         """Run until only so many programs are on their way; a motion may be under way then."""
         while len(self.frames) > depth:
             frame = self.frame
-            if frame.place >= len(frame.program.steps):
-                self.frames.pop()
-                continue
-            self.step = frame.program.steps[frame.place]
-            frame.place += 1
             self._steps += 1
             if self._steps * self.readings.step_time >= self.cell.period:
                 yield "the processor"
                 self._steps = 0
+            if frame.place >= len(
+                frame.program.steps
+            ):  # its end takes a step, too: an empty one may run without end
+                self.frames.pop()
+                continue
+            self.step = frame.program.steps[frame.place]
+            frame.place += 1
             try:
                 values = self.values(self.step)
                 yield from self.step.entry.action(self, *values) or ()

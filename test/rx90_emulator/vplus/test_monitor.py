@@ -71,6 +71,8 @@ NUMBER = r"\s+-?\d+\.\d{3}"
         (["HERE o", "\x03listl o"], r"\r\n\.listl o\r\n.*\r\no +0.000 .*\r\n\."),
         (["point o", "1, nan"], r"1, nan\r\n\*Arithmetic overflow\* nan\r\n\."),
         (["speed 30, 50"], r"speed 30, 50\r\n\."),
+        (["speed " + 240 * "-" + "5"], r".*\r\n\*Expression too complex\*\r\n\."),
+        (["store away/"], r".*\r\n\*Illegal file name\* away/\r\n\."),
         (["point o[x]"], r"point o\[x\]\r\n\*'x\]' is not expected\*\r\n\."),
         (["edit 1"], r"edit 1\r\n\*'1' is not expected\*\r\n\."),
         (["do x = 4", 'do $s = "a"', "lists"], r'lists\r\n\$s = "a"\r\n\.'),
@@ -126,6 +128,14 @@ def test_a_program_is_edited_run_stored_and_loaded(talk: Talk) -> None:
     assert talk("abort").endswith("(Y/N)? ")
     assert "stopped  p" in [talk("Y"), talk("status")][-1]
     assert "*Unknown instruction*" in [talk(line) for line in ("EDIT q", "NONSENSE", "E")][-1]
+
+
+def test_an_empty_program_without_end_lets_the_monitor_answer(talk: Talk) -> None:
+    """A cycle that takes no time is no endless loop."""
+    for line in ("EDIT p", "E", "exec p, -1"):
+        talk(line)
+    assert "Task 0  running" in talk("status", 3)
+    assert "idle" in [talk(line, 2) for line in ("kill", "status")][-1]
 
 
 def test_a_program_asks_and_goes_on_where_it_stopped(talk: Talk) -> None:
@@ -192,6 +202,14 @@ def test_nodes_that_are_away_are_no_power_cut(shipped: Setup, tmp_path: Path, mo
     assert "*the arm's time stands still*" in "".join(shown)
     assert "POWER" in monitor.task.switches
     monitor.beat()
+
+
+def test_a_place_where_nothing_can_be_written_is_refused(shipped: Setup, tmp_path: Path) -> None:
+    """STORE says so in a line, and the monitor goes on."""
+    shown: list[str] = []
+    monitor = Monitor(Cell(shipped, Engine(shipped, keep=False)), tmp_path / "away", shown.append)
+    monitor.receive(b"store a\r")
+    assert re.search(r"\r\n\*.*cannot be written.*\*\r\n\.$", "".join(shown))
 
 
 def test_a_reaction_that_was_aborted_comes_again(talk: Talk) -> None:
