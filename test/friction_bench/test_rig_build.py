@@ -104,9 +104,7 @@ def test_a_library_made_with_other_figures_follows_them(tmp_path: Path) -> None:
         ),
     ],
 )  # fmt: skip
-def test_a_figure_that_the_firmware_could_not_keep_ends_the_build(
-    target: str, defines: str, reason: str, tmp_path: Path
-) -> None:
+def test_a_figure_that_cannot_be_kept_ends_the_build(target: str, defines: str, reason: str, tmp_path: Path) -> None:
     """A figure out of range, a name that no source knows, or a pin for two signals is refused with what is accepted."""
     done = make(target, tmp_path, defines)
     assert done.returncode != 0

@@ -110,9 +110,7 @@ def test_host_that_stood_still_does_not_take_the_rig_for_lost(client: RigClient)
         ),  # alike on the wire
     ],
 )
-def test_a_firmware_built_for_other_figures_is_refused(
-    changes: dict[str, Any], figures: dict[str, int], message: str, rig: Rig
-) -> None:
+def test_other_figures_are_refused(changes: dict[str, Any], figures: dict[str, int], message: str, rig: Rig) -> None:
     """What the greeting says is compared with the rig file; the first difference is named with both values."""
     emulated = EmulatedRig(rig, 0, NativeBoard(rig.baud, native_library(figures)))
     client = RigClient(VirtualPort(emulated), rig.replaced(**changes))
@@ -149,9 +147,7 @@ WARM = "{reference: 30, lowest: 0, highest: 90, start: 25, ambient: 25, capacity
          "joint_friction: lugre.temperature: the emulated rig cannot hold this"),
     ],
 )  # fmt: skip
-def test_a_rig_file_that_describes_no_rig_is_refused(
-    file: str, old: str, new: str, message: str, tmp_path: Path
-) -> None:
+def test_a_rig_file_of_no_rig_is_refused(file: str, old: str, new: str, message: str, tmp_path: Path) -> None:
     """What does not go together is one line with the key."""
     own = rig_file_with(tmp_path, f"rig/{file}.yaml", {old: new})
     with pytest.raises(ConfigError, match=re.escape(message)):
@@ -243,9 +239,7 @@ def test_stop_does_not_wait_for_a_line_that_takes_nothing(rig: Rig, line: tuple[
     assert stops == [Command.STOP, Command.STOP]
 
 
-def test_write_that_has_succeeded_is_not_lost_however_late(
-    line: tuple[int, SerialPort], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_write_is_not_lost_however_late(line: tuple[int, SerialPort], monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine that stands still in the middle of a write longer than its timeout costs nothing."""
     master, port = line
     write = os.write

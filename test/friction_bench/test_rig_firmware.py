@@ -176,9 +176,7 @@ def test_random_damage_never_moves_the_rig(target: str, make_board: Callable[...
 
 @pytest.mark.firmware
 @pytest.mark.parametrize("target", ["mcs51", "avr"])
-def test_closed_loop_with_the_real_binary_equals_the_native_one(
-    target: str, make_board: Callable[..., Any], rig: Rig
-) -> None:
+def test_loop_with_the_real_binary_equals_the_native_one(target: str, make_board: Callable[..., Any], rig: Rig) -> None:
     """The emulated rig, run by the real binary, turns in a ramp as far as by the native core, but for 2 ms."""
     angles = []
     for board in ("native", target):

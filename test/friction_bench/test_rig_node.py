@@ -20,8 +20,7 @@ from rx90_common.process.children import TIMEOUT, executable
 
 pytestmark = pytest.mark.ros
 
-FAR_FROM_THE_END = 100
-"""A code that the ramp of `run_ramp` goes beyond."""
+FAR_FROM_THE_END = 100  # a code that the ramp of `run_ramp` goes beyond
 
 
 class Session:

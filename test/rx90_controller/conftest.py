@@ -16,8 +16,7 @@ from rx90_controller.law.cs7b import CS7B
 from rx90_controller.trajectory import TrajectoryGenerator
 from rx90_emulator.loop.setup import Setup
 
-FREE = 1e9
-"""A limit that is never met."""
+FREE = 1e9  # a limit that is never met
 
 
 @dataclasses.dataclass
@@ -46,8 +45,6 @@ class Servo:
 
 @pytest.fixture(scope="session")
 def servo(shipped: Setup) -> Callable[..., Servo]:
-    """Return a maker of servos: unit gears without coupling to speak of, limits off unless given."""
-
     def make(rates: Rates | None = None, inertia: float = 2.0, peak: float = FREE, **changed: Any) -> Servo:
         six = np.ones(6)
         drives = shipped.drives.replaced(
@@ -85,6 +82,5 @@ def generator() -> TrajectoryGenerator:
 
 @pytest.fixture
 def rig(shipped: Setup) -> Rig:
-    """Return a servo loop that has seen nothing yet; its motors may stand still while the set-points move."""
     controller = shipped.controller.replaced(supervision={"following_error": np.full(6, 0.3)})
     return Rig(dataclasses.replace(shipped, controller=controller))

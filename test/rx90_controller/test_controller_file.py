@@ -22,9 +22,7 @@ def refusal(path: Path) -> str:
 
 
 @pytest.mark.parametrize("place", MODEL_SWITCHES, ids=".".join)
-def test_what_needs_a_model_takes_the_files_beside(
-    shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str]
-) -> None:
+def test_a_model_takes_the_files_beside(shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str]) -> None:
     """The parts by a model are off where they are left out; on, the files beside are read, a missing one is refused."""
     switch = place[1]
     left_out = load_controller(edited_yaml(shipped_files.controller, place, None, remove=True))

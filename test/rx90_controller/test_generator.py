@@ -179,9 +179,7 @@ REFUSED: list[tuple[Sent, int | None, str]] = [
 
 
 @pytest.mark.parametrize(("sent", "start", "words"), REFUSED, ids=[words for *_, words in REFUSED])
-def test_what_breaks_a_limit_is_refused(
-    generator: TrajectoryGenerator, sent: Sent, start: int | None, words: str
-) -> None:
+def test_breaking_a_limit_is_refused(generator: TrajectoryGenerator, sent: Sent, start: int | None, words: str) -> None:
     """One line names point, joint, value and what is accepted; the running motion goes on untouched."""
     twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)
     for each in (generator, twin):

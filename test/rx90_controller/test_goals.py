@@ -66,9 +66,7 @@ def test_tolerances_are_the_defaults_unless_the_goal_says_otherwise() -> None:
         ({"to": HOME + 2.0 * np.eye(6)[4]}, False, ResultCode.INVALID_GOAL, "joint_5 has the position 2.5 rad"),
     ],
 )
-def test_what_cannot_be_followed_now_is_refused(
-    goal: dict[str, Any], inactive: bool, code: ResultCode, words: str
-) -> None:
+def test_what_cannot_be_followed_is_refused(goal: dict[str, Any], inactive: bool, code: ResultCode, words: str) -> None:
     """Not active, all in the past, too far ahead, beyond a limit: refused with its code, and nothing moves."""
     arm = Arm()
     arm.run(1000)
@@ -87,9 +85,7 @@ def test_what_cannot_be_followed_now_is_refused(
 @pytest.mark.parametrize("begins", [0.0, 0.2])
 @pytest.mark.parametrize("speed", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("velocities", [[], [0.0] * 6])
-def test_a_point_at_the_start_where_the_arm_is_succeeds_at_once(
-    begins: float, speed: float, velocities: list[float]
-) -> None:
+def test_a_point_where_the_arm_is_succeeds_at_once(begins: float, speed: float, velocities: list[float]) -> None:
     """What planners return for "already there", one point at time 0, is reached in its first tick; nothing moves."""
     for options in ({}, {"allow_trajectory_replacement": True}):
         arm = Arm(**options)

@@ -35,9 +35,7 @@ def hermite(times: Sequence[float], rows: Sequence[Sequence[Array]]) -> BPoly:
         (HOME + 0.4, ZERO + 0.5, "point 0: joint_1 starts at 0.5 rad/s, the set-point there moves at 0 rad/s"),
     ],
 )
-def test_a_first_point_elsewhere_needs_leave(
-    generator: TrajectoryGenerator, first: Array, velocity: Array, words: str
-) -> None:
+def test_points_elsewhere_need_leave(generator: TrajectoryGenerator, first: Array, velocity: Array, words: str) -> None:
     """A point at the begin away from the set-point, or from its velocity, is refused; with leave it is left out."""
     generator.setpoints(0, 1200)
     there = points([0.0, 0.5], [first, HOME], [velocity, ZERO])

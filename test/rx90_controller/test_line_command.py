@@ -127,13 +127,8 @@ def test_a_controller_that_comes_later_gets_the_whole_trajectory(shipped: Setup,
         ("interrupted", 130, "interrupted; the controller goes on with the motion"),
     ],
 )
-def test_the_command_ends_when_the_arm_has_arrived(
-    shipped: Setup, processes: Processes, end: str, code: int, said: str
-) -> None:
-    """Not before the end of approach and line in the arm's time; 5 s after it rests elsewhere; at once by Ctrl-C.
-
-    From another pose the first point, the start of the line, comes after the time that a joint move takes.
-    """
+def test_the_command_ends_with_the_motion(shipped: Setup, processes: Processes, end: str, code: int, said: str) -> None:
+    """Not before the end of approach and line in the arm's time; 5 s after it rests elsewhere; at once by Ctrl-C."""
     plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
     here = plan.start_pose + np.array([0.1, -0.2, 0.3, 0.0, 0.1, -0.4])
     approach = Approach().duration(shipped.robot, here, plan.start_pose)

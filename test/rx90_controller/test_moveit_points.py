@@ -26,8 +26,7 @@ SAMPLING = 0.1  # s: of Pilz' planner and of MoveIt's time-optimal parameterizat
 
 @pytest.fixture(params=["shipped", "tx40"])
 def setup(request: pytest.FixtureRequest) -> Setup:
-    found: Setup = request.getfixturevalue(request.param)
-    return found
+    return request.getfixturevalue(request.param)
 
 
 def joint_limits(setup: Setup) -> tuple[Array, Array]:
@@ -51,7 +50,6 @@ def why(setup: Setup, points: TrajectoryPoints) -> str:
 
 
 def samples(duration: float) -> Array:
-    """Return the times at which MoveIt samples a motion: every 0.1 s and at the end."""
     return np.append(np.arange(0.0, duration - 1e-5, SAMPLING), duration)
 
 

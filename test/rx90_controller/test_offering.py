@@ -60,7 +60,6 @@ def ways(rig: Rig) -> Iterator[Ways]:
 
 
 def message(rig: Rig, count: int, last: float, start: float = 0.0) -> SimpleNamespace:
-    """Return a trajectory of some points, s, from 0 to 0.02 rad, with all velocities."""
     times = np.linspace(0.0, last, count + 1)[1:]
     share = times / last
     positions = 0.02 * (10 * share**3 - 15 * share**4 + 6 * share**5)
@@ -77,9 +76,7 @@ def goal(rig: Rig, given: SimpleNamespace) -> mock.Mock:
 
 @pytest.mark.parametrize(("count", "last", "beside"), [(20, 20.0, False), (21, 2.0, True), (2, 21.0, True)])
 @pytest.mark.parametrize("offered", ["topic", "goal"])
-def test_what_may_take_long_is_checked_while_ticks_run(
-    ways: Ways, offered: str, count: int, last: float, beside: bool
-) -> None:
+def test_long_checks_run_beside_ticks(ways: Ways, offered: str, count: int, last: float, beside: bool) -> None:
     """Goals and trajectories of more than 20 points, or 20 s: from rest, on the way, and behind one that waits."""
     rig = ways.rig
     with mock.patch.object(points, "joint_table", wraps=points.joint_table) as table:

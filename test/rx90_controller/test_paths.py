@@ -142,9 +142,7 @@ def test_a_path_that_crosses_itself_is_looked_for_where_the_tip_should_be(circle
     acceleration=st.floats(0.3, 10.0), jerk=st.one_of(st.just(math.inf), st.floats(2.0, 100.0)), stop=st.booleans(),
 )  # fmt: skip
 @settings(max_examples=60, deadline=None)
-def test_profiles_keep_their_limits(
-    speeds: list[tuple[float, float]], acceleration: float, jerk: float, stop: bool
-) -> None:
+def test_profiles_keep_limits(speeds: list[tuple[float, float]], acceleration: float, jerk: float, stop: bool) -> None:
     """On dense samples speed, acceleration and jerk stay within limits everywhere, and the motion covers the path."""
     ends = np.cumsum([0.0, *(way for _, way in speeds)]).tolist()
     limits = tuple(SpeedLimit(a, b, v) for (v, _), a, b in zip(speeds, ends[:-1], ends[1:], strict=True))
@@ -208,9 +206,7 @@ def test_speed_is_lowered_where_joints_ask_for_it_and_said(shipped: Setup, seam:
     ],
     ids=["a turn by 135 degrees within 0.6 mm", "a step aside by 0.2 mm"],
 )
-def test_a_bend_shorter_than_the_distance_between_examined_places_is_slowed_down(
-    shipped: Setup, segments: tuple[Segment, ...]
-) -> None:
+def test_a_bend_between_examined_places_is_slowed_down(shipped: Setup, segments: tuple[Segment, ...]) -> None:
     """With no curvature 1 mm beside it, and none between the directions there: set-points keep the limits."""
     plan = plan_path(shipped, Path((0.55, -0.05, 0.2), segments, 0.04, 1.0))
     setpoints = plan.setpoints(np.arange(0.0, plan.duration, 5e-4))

@@ -13,8 +13,7 @@ from rx90_controller.trajectory import TrajectoryPoints
 
 pytestmark = pytest.mark.ros
 
-TIMES = np.array([0.0, 1.0, 3.0, 5.0])
-"""s: a rest, there and back."""
+TIMES = np.array([0.0, 1.0, 3.0, 5.0])  # s: a rest, there and back
 PLACES = np.array([0.0, 0.0, 0.4, 0.0])
 ENDED = "trajectory ended at 25.000 s; holding"
 
@@ -108,9 +107,7 @@ def test_what_replaces_it_ends_it(places: Sequence[float], word: str) -> None:
 
 
 @pytest.mark.parametrize(("is_accepted", "line", "patience"), [(False, "", 5.0), (True, "", 60.0), (True, ENDED, 5.0)])
-def test_an_arm_that_rests_elsewhere_is_not_waited_for_without_end(
-    is_accepted: bool, line: str, patience: float
-) -> None:
+def test_an_arm_that_rests_elsewhere_is_not_waited_for_endlessly(is_accepted: bool, line: str, patience: float) -> None:
     """It says how far off; one that a controller may still move is waited for longer."""
     trajectory = taken() if is_accepted else sent()
     trajectory.take_line(line)

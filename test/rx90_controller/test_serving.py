@@ -130,7 +130,6 @@ def message(tick: int, effort: float = 0.0) -> bytes:
 
 @pytest.fixture
 def lock_step() -> Loops:
-    """Return loops for lock-step, beside a simulation of which nothing comes by itself."""
     loops = Loops(Simulation())
     loops.simulation.speed = 0.0
     return loops
@@ -146,9 +145,7 @@ def lock_step() -> Loops:
         ([0, 1, 4000, 8000, 12000, 2, 3], [0, 4000, 8000, 12000, 2], [0, 1, 4000, 8000, 12000, 2, 3]),
     ],
 )
-def test_each_tick_is_answered_once_and_what_does_not_follow_begins_anew(
-    lock_step: Loops, heard: list[float], begun: list[int], answered: list[int]
-) -> None:
+def test_ticks_are_answered_once(lock_step: Loops, heard: list[float], begun: list[int], answered: list[int]) -> None:
     """States that come again get the same bytes; others with their stamp, or with one from elsewhere, begin anew."""
     lock_step.hear(*(message(int(tick), tick % 1.0) for tick in heard))
     assert (lock_step.begun, [own for own, _ in lock_step.answered]) == (begun, answered)

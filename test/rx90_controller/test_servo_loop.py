@@ -47,9 +47,7 @@ def test_set_points_are_published_in_ticks_of_the_position_loop(rig: Rig) -> Non
     assert rig.around.published[2:] == [16 * rig.period]
 
 
-def test_a_long_goal_that_is_joined_while_the_torque_goes_off_and_on_moves_the_arm(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_goal_joined_while_torque_goes_off_and_on_moves_the_arm(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """The tick that follows releases the arm: the goal begins after it, and succeeds at its last point."""
     rig.loop.hold(rig.states(0))
     rig.run(0, 8)

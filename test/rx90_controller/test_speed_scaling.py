@@ -17,8 +17,7 @@ LIMITS = JointLimits(NAMES, np.full(6, -3.0), np.full(6, 3.0), np.full(6, 4.0), 
 TIMES = np.array([0.0, 0.4, 0.9, 1.3])
 WAY = HOME + np.array([ZERO, [0.3, -0.1, 0.2, 0.4, -0.2, 0.1], [0.2, 0.1, 0.3, -0.2, 0.2, 0.3], ZERO])
 SPEED = np.array([ZERO, [0.3, 0.2, 0.3, -0.4, 0.5, 0.5], [-0.5, 0.1, -0.3, -0.5, 0.4, -0.2], ZERO])
-CURVE = CubicHermiteSpline(TIMES, WAY, SPEED)
-"""What SciPy makes of the trajectory that most tests follow."""
+CURVE = CubicHermiteSpline(TIMES, WAY, SPEED)  # what SciPy makes of the trajectory that most tests follow
 
 
 def following() -> TrajectoryGenerator:
@@ -104,11 +103,10 @@ def test_the_change_of_speed_is_as_quick_as_the_accelerations_allow() -> None:
     """On a straight path at constant velocity v the rate changes by a/v a second, a being what the first joint has."""
     generator = TrajectoryGenerator(LIMITS, PERIOD, ZERO)
     way = np.array([2.0, 0.1, 0.1, 0.0, 0.0, 0.0])
-    velocity = way / 1.0
     # Cruising at 2 rad/s from 0.5 s on; joint 1 may change that by 18 rad/s^2, within 0.111 s.
     cruise = np.array([-0.75 * way, -0.5 * way, 0.5 * way, 0.75 * way])
     generator.reset(cruise[0])
-    generator.accept(points([0.0, 0.5, 1.5, 2.0], cruise, [ZERO, velocity, velocity, ZERO]), 0, None)
+    generator.accept(points([0.0, 0.5, 1.5, 2.0], cruise, [ZERO, way, way, ZERO]), 0, None)
     generator.set_speed_scaling(0.0, 700)
     got = generator.setpoints(700, 150)
     rest = int(np.argmax(np.all(got[:, 1] == 0.0, axis=1)))

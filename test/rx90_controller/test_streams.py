@@ -1,7 +1,4 @@
-"""Streamed set-points: followed within the limits, as whole motions that end at rest; MoveIt Servo's from its source.
-
-The motors of the rig are where the set-points are. Its joints accelerate at 6 rad/s^2 (joint 2) to 60.
-"""
+"""Streamed set-points, MoveIt Servo's too, are followed within the limits, 6 (joint 2) to 60 rad/s^2, to rest."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -27,8 +24,7 @@ from rx90_emulator.loop.setup import Setup
 
 T, RATIO = 1e-3, 4  # s, ticks of the position loop; base ticks in each
 DELAY = StreamOptions().delay
-Delivery = tuple[float, Any]
-"""When a message comes, s, and the message."""
+Delivery = tuple[float, Any]  # when a message comes, s, and the message
 
 
 class Arm(Rig):
@@ -129,9 +125,7 @@ def test_it_arrives_however_it_is_stamped(arm: Arm, shipped: Setup) -> None:
 
 @given(seed=st.integers(0, 2**32 - 1), spread=st.sampled_from([0.01, 0.3, 6.0]), interface=st.sampled_from(INTERFACES))
 @settings(max_examples=60, deadline=None)
-def test_whatever_is_streamed_the_limits_are_kept_and_the_end_is_rest(
-    shipped: Setup, seed: int, spread: float, interface: str
-) -> None:
+def test_whatever_is_streamed_limits_are_kept(shipped: Setup, seed: int, spread: float, interface: str) -> None:
     """Random set-points at random times beyond all limits: within them, then at rest, there if that is within."""
     random, limits = np.random.default_rng(seed), shipped.controller.limits(shipped.robot)
     every = np.ones(6, dtype=bool)

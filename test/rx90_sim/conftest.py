@@ -24,20 +24,16 @@ from rx90_sim.plant import Plant
 
 @dataclass(frozen=True)
 class ArmOracle:
-    """The arm by Pinocchio and the friction by the paper's equations, for a stiff solver."""
-
     setup: Setup
     turns: Array = dataclasses.field(default_factory=lambda: WRIST)
 
     @cached_property
     def inputs(self) -> Array:
-        """Return input velocities of the friction elements for joint velocities: joints, then motors of several."""
         together = [row for row in self.turns if np.count_nonzero(row) > 1]
         return np.vstack([np.eye(len(self.turns)), *together])
 
     @cached_property
     def _data(self) -> Any:
-        """Return Pinocchio's workspace: one for all calls of a solver."""
         return self.setup.robot.model.createData()
 
     def mass_and_bias(self, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:

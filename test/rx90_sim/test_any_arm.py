@@ -24,7 +24,6 @@ class Arm(NamedTuple):
 
 @pytest.fixture(scope="module", params=[ALONE, SEVEN, None], ids=["1 joint", "7", "RX90B"])
 def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, arm_oracle: Any) -> Arm:
-    """Return an arm; the RX90B with other friction for negative velocities."""
     turns = request.param
     if turns is None:
         shipped = arm_oracle.setup

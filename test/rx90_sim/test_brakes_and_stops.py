@@ -82,9 +82,7 @@ def test_an_end_stop_never_pulls(shipped: Setup, frictionless: FrictionSet, side
 
 @pytest.mark.parametrize("joint", range(6))
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_an_end_stop_is_a_spring_and_a_damper(
-    shipped: Setup, frictionless: FrictionSet, joint: int, side: float
-) -> None:
+def test_an_end_stop_is_spring_and_damper(shipped: Setup, frictionless: FrictionSet, joint: int, side: float) -> None:
     """Beyond either limit and on its way into the stop, each joint is pushed back by k d + c v."""
     plant, period = beyond_a_stop(shipped, frictionless, side, joint), shipped.rates.period
     plant.state["v"][0, joint] = side * 0.1

@@ -338,7 +338,6 @@ def two_masses(begin: Array, pushes: Array, inertia: Any, gear: Any, duration: f
 
 
 def driven(plant: Plant, begin: Array, pushes: Array, ticks: int) -> Array:
-    """Return the same of joint 1 of a plant."""
     state = free(plant, POSE)
     gears, command, rows = state["transmission"], np.zeros(6), []
     state["v"][0], gears["twist"][0], gears["rate"][0] = begin[1:]

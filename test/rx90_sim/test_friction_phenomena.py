@@ -46,9 +46,7 @@ def mass_with_friction(oracle: Any, force: Callable[[float, float], float]) -> C
     return rhs
 
 
-def test_break_away_falls_as_the_force_rate_rises(
-    masses: Masses, paper_element: FrictionElement, lugre_oracle: type
-) -> None:
+def test_break_away_falls_as_the_rate_rises(masses: Masses, paper_element: FrictionElement, lugre_oracle: type) -> None:
     """The break-away force falls with the rate of the force, from tau_s on, and equals a stiff solver's."""
     rates = np.array([0.2, 1.0, 5.0, 25.0])
     plant = masses([paper_element] * 4)
@@ -75,9 +73,7 @@ def test_break_away_falls_as_the_force_rate_rises(
         assert summit == pytest.approx(oracle.rates(z, v)[1].max(), abs=2e-3)
 
 
-def test_stick_slip_of_a_mass_pulled_by_a_spring(
-    masses: Masses, paper_element: FrictionElement, lugre_oracle: type
-) -> None:
+def test_stick_slip_of_a_mass_on_a_spring(masses: Masses, paper_element: FrictionElement, lugre_oracle: type) -> None:
     """A mass pulled by a soft spring sticks and slips with the period and stroke of a stiff solver."""
     stiffness, speed, end = 2.0, 0.1, 30.0
     plant = masses([paper_element])

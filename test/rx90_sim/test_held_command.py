@@ -172,9 +172,6 @@ def test_a_reset_takes_the_command_away(drive: Drive) -> None:
     assert not drive.held.two_controllers
 
 
-# Joint commands, of which the newest counts.
-
-
 @pytest.fixture
 def joints(drive: Drive) -> Drive:
     drive.hold(NewestCommand, 0.01, OnceLog(drive.said.append, lambda: drive.now).say)
@@ -244,9 +241,7 @@ ONES = np.ones(2)
         (JOINTS, {}, "effort is empty: no torque, brakes closed; for torque: 2 efforts at the joints, Nm"),
     ],
 )
-def test_a_fault_of_an_own_controller_is_one_line(
-    drive: Drive, names: tuple[str, ...], arrays: dict[str, Any], words: str
-) -> None:
+def test_each_fault_is_one_line(drive: Drive, names: tuple[str, ...], arrays: dict[str, Any], words: str) -> None:
     """However often it comes: what is wrong, and what is expected; the next right command is followed."""
     once = OnceLog(drive.said.append, lambda: drive.now)
     joints: Any = SimpleNamespace(motor_torques=lambda effort: effort)

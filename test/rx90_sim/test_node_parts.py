@@ -40,7 +40,6 @@ class Ticking:
                 self.waits += 1
 
     def still(self) -> int:
-        """Return the tick at which time stands, once the one that was under way is done."""
         seen = self.waits
         wait_until(lambda: self.waits > seen, "a tick that is not due")
         return self.tick
@@ -111,9 +110,7 @@ def test_each_is_published_at_the_pace_of_time(monkeypatch: pytest.MonkeyPatch, 
 
 
 @pytest.mark.parametrize("pace", [2.5, 7.3, 400.0])
-def test_no_more_are_published_where_time_hurries_than_can_be_shown(
-    monkeypatch: pytest.MonkeyPatch, pace: float
-) -> None:
+def test_no_more_are_published_than_can_be_shown(monkeypatch: pytest.MonkeyPatch, pace: float) -> None:
     """Where simulated time runs faster there are at most two hundred for each second of wall time, spread evenly."""
     stamps = looked_on(monkeypatch, pace)
     assert 100.0 * 100.0 / pace <= len(stamps) <= 200.0 * 100.0 / pace + 1

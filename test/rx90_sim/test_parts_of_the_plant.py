@@ -121,7 +121,6 @@ def warm(setup: Setup, part: TemperaturePart = PART, **windings: float) -> Setup
 
 
 def at_rest(setup: Setup, ticks: int) -> Array:
-    """Return the temperatures after a time in which motors push an arm that does not move."""
     plant = setup.plant()
     plant.constants["brake"]["tau_c"] = plant.constants["brake"]["tau_s"] = 1e9
     for _ in range(ticks):
@@ -169,10 +168,8 @@ def test_a_moving_arm_warms_by_its_friction(shipped: Setup) -> None:
     assert heat[[0, 2]].min() > 3.0
     assert beyond_law(plant.friction, plant.temperatures) == ""
     plant.state["parts"]["temperature"]["temperature"][0, 2:4] = 80.06, 80.0
-    assert (
-        beyond_law(plant.friction, plant.temperatures)
-        == "joint_3 at 80.1 °C keeps the friction of 80 °C, the highest of its law"
-    )
+    said = "joint_3 at 80.1 °C keeps the friction of 80 °C, the highest of its law"
+    assert beyond_law(plant.friction, plant.temperatures) == said
     plant.reset(np.zeros(6))
     assert plant.temperatures.tolist() == [30.0, 0.0, 30.0, 30.0, 30.0, 30.0, 30.0]
 

@@ -30,9 +30,7 @@ from rx90_sim.plant import Plant
 POSE = np.array([0.4, 0.9, -0.6, 0.5, 0.3, -0.3])
 
 
-def test_energy_is_kept_without_friction_to_second_order(
-    shipped: Setup, frictionless: FrictionSet, arm_oracle: Any
-) -> None:
+def test_energy_is_kept_to_second_order(shipped: Setup, frictionless: FrictionSet, arm_oracle: Any) -> None:
     """A free arm keeps its energy, spring and rotors included; the error falls fourfold per halving."""
     setup = dataclasses.replace(shipped, friction=frictionless)
     drift, counts = [], np.array([1, 2, 4, 8])
@@ -110,7 +108,6 @@ BLOCKS = MaxwellSlip(stiffness=(0.5, 0.3, 0.2), share=(0.2, 0.3, 0.5), attractio
 
 
 def force(t: float) -> float:
-    """Return a force that makes a mass reverse, stick and slip, Nm."""
     return 45.0 * math.sin(60.0 * t) + 6.0 * math.sin(171.0 * t)
 
 
@@ -152,8 +149,7 @@ def test_a_kind_and_another_part_go_together(masses: Callable[..., Plant]) -> No
     assert position[0] != position[1]
 
 
-WORST = 0.01
-"""Of the way that a joint has gone, what the plant may be off the solver by."""
+WORST = 0.01  # of the way that a joint has gone, what the plant may be off the solver by
 
 
 def stuck_map(setup: Setup, pose: Array, substeps: int) -> Array:

@@ -44,7 +44,6 @@ class Bench:
         return self.time.until(result)
 
     def listen(self, topic: str, kind: type) -> list[Any]:
-        """Return a list that grows with the messages of a topic of the controller, from its next one on."""
         heard = self.client.listen(f"rx90_controller/{topic}", kind)
         self.client.known_to("rx90_controller")
         return heard
@@ -72,7 +71,6 @@ class Bench:
         return self.set_points
 
     def state(self, states: list[Any]) -> Any:
-        """Return the newest of the messages of controller_state, which come 50 times a second, once it has come."""
         self._wait_for(states, self.now - 0.02 - 1e-9)
         return states[-1]
 

@@ -69,8 +69,6 @@ class GoalClient:
 
 
 class Stepper:
-    """Simulated time, which stands still unless it is asked to run, at least for a step, s."""
-
     def __init__(self, client: Client, step: float) -> None:
         self._client, self._step, self._ticks, self._ran = client, step, 0, 0
         self._parameters = client.node.create_client(SetParameters, "rx90_sim/set_parameters")

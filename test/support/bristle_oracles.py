@@ -84,10 +84,7 @@ class ElastoPlasticOracle:
 
 @dataclass
 class MaxwellSlipOracle:
-    """Lampaert, Al-Bender, Swevers (2003): blocks with a mode each, stepped from event to event.
-
-    A slipping block is not loaded faster than a sticking one.
-    """
+    """Lampaert, Al-Bender, Swevers (2003): blocks with modes; slipping ones are loaded no faster than sticking ones."""
 
     element: FrictionElement
     stiffness: Array
@@ -147,10 +144,7 @@ class MaxwellSlipOracle:
 def swing(
     oracle: ElastoPlasticOracle | MaxwellSlipOracle, inertia: float, force: Velocity, end: float, start: float
 ) -> tuple[float, float, int]:
-    """Return position and velocity of a mass after a time under a force, and how often it turned round.
-
-    Kinks are located: reversals, break-away, and where a block begins to slip. It begins with the velocity `start`.
-    """
+    """Return where a mass with a start velocity is after a time, how fast, and its turns; kinks are located."""
     e, blocks = oracle.element, isinstance(oracle, MaxwellSlipOracle)
     count = len(oracle.stiffness) if isinstance(oracle, MaxwellSlipOracle) else 1
 

@@ -13,8 +13,7 @@ from needs import give_up, need
 
 from tools.packages import CHROMIUM_NAMES
 
-CHROMIUM = next(filter(None, map(shutil.which, CHROMIUM_NAMES)), None)
-"""Debian's, or another one on the path."""
+CHROMIUM = next(filter(None, map(shutil.which, CHROMIUM_NAMES)), None)  # Debian's, or another one on the path
 TIMEOUT = 60_000  # ms; Chromium draws in software, on a machine with other things to do
 # Nothing of its own goes to other machines, and WebGL works without a graphics card.
 # All but WebGL is drawn without GL: in software that takes three times the processor time.
@@ -49,8 +48,6 @@ _SHOWN = "() => Boolean(window.__viserMutable?.scene) && !document.body.innerTex
 
 
 class BrowserPage:
-    """A page, and what happened on it: what it asked for, web sockets included, and what it complained of."""
-
     def __init__(self, page: Any, address: str) -> None:
         self.page, self._address = page, address
         self.requests: list[str] = []

@@ -20,8 +20,6 @@ CM_SERVICES = {
 
 
 class Rqt:
-    """What the plugin does until it shows the sliders of a controller, and sends what they say."""
-
     def __init__(self, client: Client) -> None:
         self._client = client
 
@@ -53,8 +51,6 @@ class Rqt:
 
 
 class MoveIt:
-    """Ros2ControlManager for a namespace, as Ros2ControlMultiManager finds them."""
-
     HANDLED = ("joint_trajectory_controller/JointTrajectoryController",)  # of moveit_ros_control_interface_plugins.xml
 
     def __init__(self, client: Client) -> None:
@@ -70,7 +66,6 @@ class MoveIt:
         return [name.partition(service)[0] for name in names if service in name]
 
     def discover(self) -> None:
-        """Do what `discover` does: joints in place of interfaces, handles by type."""
         request = ListControllers.Request()
         answer = self._client.asking.call(ListControllers, "/controller_manager/list_controllers", request)
         self.managed, self.active = {}, {}

@@ -19,10 +19,8 @@ from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 
 WRIST = np.eye(6)
-WRIST[5, 4] = 1.0
-"""What the drives turn for turns of the joints: drive 6 turns with joints 5 and 6."""
-INPUTS = np.vstack([np.eye(6), WRIST[5]])
-"""Input velocities of the seven friction elements for joint velocities."""
+WRIST[5, 4] = 1.0  # what the drives turn for turns of the joints: drive 6 turns with joints 5 and 6
+INPUTS = np.vstack([np.eye(6), WRIST[5]])  # input velocities of the seven friction elements for joint velocities
 SOFT = np.array([1.5e5, 1.5e5, 5e4, 1e4, 6e3, 2e3])
 """Stiffnesses, Nm/rad, that put the shipped arm's frequencies between 14 and 110 Hz."""
 POSE = np.array([0.3, 0.5, 1.0, -0.4, 0.6, 0.2])

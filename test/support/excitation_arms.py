@@ -27,7 +27,6 @@ def rigid_arm(arm: SyntheticArm, folder: Path, wrong: float = 0.5) -> RigidArm:
 
 
 def standard_values(arm: SyntheticArm) -> Array:
-    """Return the true standard parameters: links, rotors, springs, offsets."""
     return np.concatenate([arm.link_parameters, arm.rotor, arm.spring[arm.spring != 0.0], arm.offset])
 
 

@@ -68,8 +68,6 @@ class Event(NamedTuple):
 
 
 class GoalError(TrajectoryError):
-    """A goal was refused once it was offered; `code` is that of its result."""
-
     def __init__(self, code: ResultCode, text: str) -> None:
         super().__init__(text)
         self.code = code
@@ -113,7 +111,6 @@ class Arm:
         return self.law.position_tick
 
     def offer(self, key: str, goal: SimpleNamespace) -> Event | None:
-        """Offer a goal now; return the event of the one before, and raise what it is refused for."""
         request = checked(goal, **self.options)
         request.on_result = lambda: self._note(key, request)
         self.loop.offer(request)

@@ -17,8 +17,6 @@ CURVE = Curve(6.0, 5.5, 7.8, 7.0, 0.05, 1.2, 2.5)
 
 @dataclass
 class Hinge:
-    """One joint that swings there and back at six speeds: its URDF, a bag of it, its motion, and a fallback file."""
-
     urdf: Path
     bag: Path
     fallback: Path

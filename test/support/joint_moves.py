@@ -38,7 +38,6 @@ def points(
 
 
 def move(to: float, seconds: float) -> TrajectoryPoints:
-    """Return a smooth motion from wherever the arm is by `to` rad in every joint."""
     return points([seconds], [HOME + to], [ZERO])
 
 

@@ -50,14 +50,12 @@ def build(monkeypatch: pytest.MonkeyPatch, file: str) -> list[Action]:
 
 
 def arguments(actions: list[Action]) -> dict[str, str]:
-    """Return the arguments with their defaults; each has a description."""
     declared = [action for action in actions if action.kind == "DeclareLaunchArgument"]
     assert all(action.named["description"] for action in declared)
     return {action.given[0]: action.named["default_value"] for action in declared}
 
 
 def parameters(node: Action) -> dict[str, str]:
-    """Return the parameters of a node that are arguments of the launch, and these."""
     (given,) = node.named["parameters"]
     return {name: value.given[0].given[0] for name, value in given.items()}
 

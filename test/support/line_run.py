@@ -32,8 +32,7 @@ TOPICS = {
     "/rx90_controller/commanded_current",
     "/rx90_controller/motor_current",
 }
-REACH = {"rx90b": 0.6, "tx40": 0.33}
-"""How far in front of each robot the line is, m."""
+REACH = {"rx90b": 0.6, "tx40": 0.33}  # how far in front of each robot the line is, m
 TASK = """
 line:
   provenance: assumed
@@ -61,10 +60,8 @@ def run_both_ways(
 ) -> BagComparison:
     """Run the line of a shipped robot's setup both ways and compare all that was recorded, bit by bit.
 
-    `around` is the command line before those of the simulation and the controller, which then start cold. So many
-    `burners` take a whole processor each while the simulation runs, which is deactivated and activated so many times in
-    between: `rests`. Then it is paced, slowly while it is to be met on its way, and the pace is changed each time.
-    `switches` of the feed-forward are on, in the setup too.
+    `around` is the command line before those of the nodes, which then start cold; `burners` take a processor each;
+    `rests`: so often the simulation is deactivated, and its slow pace changed. `switches` of the feed-forward are on.
     """
     files = setup.files
     file = folder / "task.yaml"

@@ -16,7 +16,6 @@ def need(name: str) -> None:
 
 
 def give_up(reason: str) -> NoReturn:
-    """Skip the test for this reason, or fail it where packages are required."""
     if os.environ.get(REQUIRED):
         pytest.fail(reason)
     pytest.skip(reason)

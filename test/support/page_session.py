@@ -37,8 +37,6 @@ _HERE = {"rig", "bag", "correct", "experiment", "export", "identify", "line", "p
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block of a page: the words behind its fence, its text, and the line on which it begins."""
-
     language: str
     words: tuple[str, ...]
     text: str
@@ -66,8 +64,6 @@ def same(expected: str, output: str) -> bool:
 
 
 class PageSession:
-    """One reader of one page, in the working folder; `processes` starts and ends what the reader starts."""
-
     def __init__(self, page: Path, processes: Processes) -> None:
         self._page, self._processes = page, processes
         self._terminals: dict[str, ChildProcess] = {}
@@ -139,7 +135,6 @@ class PageSession:
             process.wait_for(re.escape(part), _TIMEOUT)
 
     def _words(self, line: str) -> list[str]:
-        """Return the command line to start for one of the page's, which bash reads as the reader's shell does."""
         first = line.split(maxsplit=1)[0]
         if first == "python":
             return [sys.executable, *shlex.split(line)[1:]]

@@ -28,14 +28,11 @@ from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
 
 Record = NDArray[Any]
-SPEED = 5.0
-"""rad/s up to which `any_element` is passive."""
+SPEED = 5.0  # rad/s up to which `any_element` is passive
 GEAR = np.array([100.0, 90.0, 80.0, 60.0, 50.0, 30.0, 30.0])
 
 
 class Seven(NamedTuple):
-    """Seven elements, their parts, the state of these and the deflections."""
-
     elements: Record
     parts: Record
     states: Record

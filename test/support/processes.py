@@ -69,7 +69,6 @@ def _is_free(port: int) -> bool:
 
 
 def wait_until(condition: Callable[[], bool], what: str, timeout: float = TIMEOUT) -> None:
-    """Wait for a condition that nothing announces; fail the test when it does not come true."""
     deadline = time.monotonic() + timeout
     while not condition():
         if time.monotonic() > deadline:
@@ -170,7 +169,6 @@ def own_processes(folder: Path) -> Iterator[Processes]:
 
 @pytest.fixture
 def processes(ros_domain: int, warm: None) -> Iterator[Processes]:  # noqa: ARG001 - what they do is done
-    """Give a Processes on a free domain; afterwards end every process, and fail if one ignored Ctrl-C."""
     with running_processes() as started:
         yield started
 

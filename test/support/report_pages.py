@@ -16,8 +16,6 @@ _DRAWN = "() => window.Bokeh?.documents.length === 1 && Bokeh.documents[0].is_id
 
 
 class ReportPage:
-    """A report that is open in a browser, with all that went wrong in it."""
-
     def __init__(self, context: Any, file: Path) -> None:
         self.page = context.new_page()
         self.page.set_default_timeout(60_000)
@@ -39,7 +37,6 @@ class ReportPage:
         self.page.wait_for_function(_DRAWN)
 
     def zoom(self) -> None:
-        """Drag over the middle of the first plot until its axis shows about that part."""
         self.wait()
         before = after = self.page.evaluate(_RANGE)
         place = self.page.locator("figure.plot > div > *").first
@@ -67,7 +64,6 @@ class ReportCheck:
         return ReportPage(self._browser.new_context(**options), file)
 
     def __call__(self, file: Path) -> None:
-        """Hold a report to what all of them must do: size, no requests, no complaints, zoom, phone, paper."""
         assert file.stat().st_size <= MOST_BYTES
         report = self.open(file, viewport={"width": 1200, "height": 900})
         report.zoom()

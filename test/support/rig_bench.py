@@ -41,7 +41,6 @@ def greeted(rig: Rig, seed: int = 1, loaded: bool = False, board: NativeBoard | 
 
 
 def spoil(board: NativeBoard, every: int, change: Callable[[bytes], bytes]) -> None:
-    """Change every so many-th piece of what a board says."""
     read, pieces = board.read, itertools.count(1)
 
     def spoilt() -> bytes:
@@ -79,7 +78,6 @@ class PatientRig(PtyRig):
             yield
 
     def hear(self, command: Command) -> None:
-        """Put on a rig that stands still what its host sends, up to a command of this kind."""
         decoder, heard = FrameDecoder(), False
         while not heard:
             data = read_some(self._master)

@@ -155,7 +155,6 @@ class Player:
         self.forgotten = len(self.reports)
 
     def do_silence(self, limits: list[int]) -> None:
-        """Fall silent; the stage must go off between these limits, ms."""
         self.board.write(encode(Frame(Command.BEAT, 0, b"")))
         start = self.clock
         while self.board.stage_on and self.clock - start < 1000:
@@ -182,7 +181,6 @@ class Player:
             raise MismatchError(f"built {found}")
 
     def do_expect(self, value: dict[str, Any]) -> None:
-        """The last report, and the pins with it, must show this."""
         if not self.reports:
             raise MismatchError("the board has not reported")
         found = self.observed(self.reports[-1])

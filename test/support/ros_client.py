@@ -63,7 +63,6 @@ class Simulation(SimulationClient):
         self._asking = client
 
     def step(self) -> None:
-        """Pause, and run `step_ticks` ticks, a parameter of the simulation."""
         self._trigger("step")
 
     def reset(self) -> None:
@@ -141,7 +140,6 @@ class Client:
         return [result.reason for result in results]
 
     def send(self, points: Sequence[tuple[float, Sequence[float]]], names: Sequence[str] = tuple(JOINTS)) -> None:
-        """Send a trajectory that starts now: times in s and positions in rad, at rest in the last point."""
         position = np.array([angles for _, angles in points])
         times = np.array([time for time, _ in points])
         client = TrajectoryClient(self.asking, "rx90_controller")

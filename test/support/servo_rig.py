@@ -15,8 +15,6 @@ from rx90_emulator.loop.setup import Setup
 
 
 class Surroundings:
-    """What a servo loop has around it: a log, and topics that note what is published."""
-
     ready = "ready"
 
     def __init__(self) -> None:
@@ -45,8 +43,6 @@ class Surroundings:
 
 
 class Rig:
-    """A servo loop on motors that stand still, ticked by hand."""
-
     def __init__(self, setup: Setup) -> None:
         self.around = Surroundings()
         self.cs7b = setup.cs7b()

@@ -44,17 +44,14 @@ class Bench:
         return cls(folder, urdf, pin.buildModelFromXML(urdf.read_text(encoding="utf-8")))
 
     def torque(self, motion: tuple[Array, Array], factor: float = 1.0) -> Array:
-        """Return the drives' torques without noise, with the friction times a factor."""
         curves = [curve.scaled(factor) for curve in CURVES]
         return drive_torque(self.model, np.eye(2), curves, motion, RATE)
 
     def bag(self, name: str, seed: int, factor: float = 1.0, seconds: float = 20.0, first: int = 0) -> Path:
-        """Write a run, from a sample on; its stamps begin at 0."""
         motion = fourier(seed, seconds)
         return self.write(name, motion, self.torque(motion, factor) + self.noise(motion, seed), first)
 
     def write(self, name: str, motion: tuple[Array, Array], torque: Array, first: int = 0) -> Path:
-        """Write a motion and its torque, from a sample on."""
         return write(self.folder / name, "/joint_states", NAMES, RATE, [one[first:] for one in (*motion, torque)])
 
     @staticmethod

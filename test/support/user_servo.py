@@ -31,7 +31,6 @@ class UserServo(Node):
         self.create_subscription(JointState, states, self.answer, 10)
 
     def note(self, message: JointState) -> None:
-        """Keep a set-point of the joints, as one of the motors where these are commanded."""
         point = [list(message.position), list(message.velocity)]
         if self.at_motors:
             coupled = [[*values[:5], values[4] + values[5]] for values in point]

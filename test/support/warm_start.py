@@ -88,7 +88,6 @@ class _Server:
         self._lock = threading.Lock()
 
     def fork(self, request: dict[str, Any], streams: Sequence[int]) -> int:
-        """Return the id of a new process, which is a child of the one that calls this."""
         with self._lock:
             _adopt(True)
             try:
@@ -98,8 +97,7 @@ class _Server:
                 _adopt(False)
 
 
-COLD = subprocess.Popen
-"""For a test to which the slow imports matter."""
+COLD = subprocess.Popen  # for a test to which the slow imports matter
 _servers: list[_Server] = []
 
 

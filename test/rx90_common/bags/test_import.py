@@ -218,9 +218,7 @@ def test_efforts_in_amperes_stay_amperes(tmp_path: Path, capsys: pytest.CaptureF
     "words", [["info", "log.csv"], ["export", "log.csv", "-o", "t"], ["compare", "log.csv", "log.csv"],
               ["plot", "log.csv", "-o", "p.html"]],
 )  # fmt: skip
-def test_every_verb_that_reads_a_table_takes_its_map(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
-) -> None:
+def test_every_verb_on_a_table_takes_its_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]) -> None:
     """The signal map of a table may have any name, and stand elsewhere than beside it."""
     monkeypatch.chdir(tmp_path)
     write(Path("log.csv"), rows(","))

@@ -64,7 +64,6 @@ class Process:
         raise AssertionError(f"ended without a line {beginning!r}: {self.finish()}")
 
     def finish(self, number: signal.Signals | None = None) -> tuple[int, str, str]:
-        """Send a signal, wait for the end; return exit code and what is left of standard output and error."""
         if number is not None:
             self.child.send_signal(number)
         out, err = ("" if stream is None else stream.read() for stream in (self.child.stdout, self.child.stderr))
@@ -303,9 +302,7 @@ OTHERS = {"/joint_states": 3, "/tf_static": 1, "/tf": 4, "/rx90_controller/contr
 
 @pytest.mark.ros
 @pytest.mark.usefixtures("needs_action", "needs_tf")
-def test_types_of_others_are_recorded(
-    tmp_path: Path, start: Start, node: Node, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_other_types_are_recorded(tmp_path: Path, start: Start, node: Node, capsys: pytest.CaptureFixture[str]) -> None:
     """Rosbags, info and compare read them, at their own stamps; latched ones from before are there, still latched."""
     from control_msgs.msg import JointTrajectoryControllerState
     from diagnostic_msgs.msg import DiagnosticArray
@@ -371,8 +368,7 @@ def test_a_type_that_is_not_there_leaves_no_bag(tmp_path: Path, node: Node, monk
 
 @pytest.mark.usefixtures("needs_tf")
 @pytest.mark.parametrize(
-    "name",
-    ["sensor_msgs/msg/CameraInfo", "shape_msgs/msg/SolidPrimitive", "tf2_msgs/msg/TFMessage"],
+    "name", ["sensor_msgs/msg/CameraInfo", "shape_msgs/msg/SolidPrimitive", "tf2_msgs/msg/TFMessage"]
 )
 def test_definitions_say_what_the_types_are(name: str) -> None:
     """What the installed package says of a type has the type hash (REP 2016) that Jazzy's own definition has."""

@@ -47,9 +47,7 @@ class Publisher:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("resent_after", [0.0, 1.2])
-def test_a_publisher_that_goes_on_is_read_up_to_the_end_that_was_asked_for(
-    monkeypatch: pytest.MonkeyPatch, resent_after: float
-) -> None:
+def test_a_busy_publisher_is_read_up_to_the_end(monkeypatch: pytest.MonkeyPatch, resent_after: float) -> None:
     """All that was sent before the end is read, however late it comes or comes again; busy topics hold no end up."""
     monkeypatch.setattr(recording, "_MAX_DRAIN_S", LONG)
     publisher: Any = Publisher(resent_after)

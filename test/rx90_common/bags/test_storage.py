@@ -203,7 +203,6 @@ INDEXES = {"all": IndexType.ALL, "none of chunks": IndexType.MESSAGE, "no chunks
 
 
 def write_mcap(path: Path, compression: CompressionType, index: str) -> Path:
-    """Write three topics by the mcap project's writer, two of them half the time, with less and less of an index."""
     summary = index != "no summary"
     writer = McapWriter(
         str(path), chunk_size=500, compression=compression, index_types=INDEXES[index],
@@ -309,9 +308,7 @@ def test_types_that_cannot_be_parsed_and_compressed_bags(
 
 @pytest.mark.parametrize("index", INDEXES)
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD])
-def test_an_mcap_file_is_read_by_whatever_index_it_has(
-    tmp_path: Path, index: str, compression: CompressionType
-) -> None:
+def test_an_mcap_file_is_read_whatever_index_it_has(tmp_path: Path, index: str, compression: CompressionType) -> None:
     """Files of the mcap project's writer, with less and less of an index, in any order of time, by chosen topics."""
     path = write_mcap(tmp_path / "bag.mcap", compression, index)
     assert {t.topic: t.count for t in summarise(path).topics} == {"/joint_states": 40, "/late": 20, "/other": 20}

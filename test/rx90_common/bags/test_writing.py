@@ -44,7 +44,6 @@ class ChecksummedWriter(McapWriter):
         self.bio.seek(end)
 
     def close(self, version: int, metadata: str) -> None:
-        """Write the summary; the footer says where it begins, and has its checksum."""
         super().close(version, metadata)
         content = bytearray(self.path.read_bytes())
         summary = int.from_bytes(content[-28:-20], "little")

@@ -9,12 +9,7 @@ import pytest
 
 from rx90_common.description.branch import BRANCHES
 from rx90_common.description.chain import RigidChain
-from rx90_common.description.inverse import (
-    SphericalWristArm,
-    nearest_turn,
-    singularity_margins,
-    solve_anywhere,
-)
+from rx90_common.description.inverse import SphericalWristArm, nearest_turn, singularity_margins, solve_anywhere
 from rx90_common.description.kinematics import (
     bias_acceleration,
     decompose,
@@ -71,9 +66,7 @@ def _offset_arm(chain: RigidChain) -> RigidChain:
 
 
 @pytest.mark.parametrize("change", [lambda chain: chain, _offset_arm])
-def test_one_of_the_eight_solutions_is_where_the_arm_was(
-    shipped: Setup, change: Callable[[RigidChain], RigidChain]
-) -> None:
+def test_one_of_eight_solutions_is_where_it_was(shipped: Setup, change: Callable[[RigidChain], RigidChain]) -> None:
     """One branch gives random angles back, up to whole turns, the others their pose; also of another arm."""
     chain = change(shipped.robot.chain)
     arm = SphericalWristArm.from_chain(chain)

@@ -44,11 +44,11 @@ def disabled(semantic: ET.Element, reason: str) -> set[frozenset[str]]:
 
 
 class Shapes:
-    """The collision geometry, or what is seen, as Pinocchio has it; `srdf` leaves out pairs that are not checked."""
+    """The collision geometry as Pinocchio has it; `srdf` leaves out pairs that are not checked."""
 
-    def __init__(self, setup: Setup, srdf: str | None = None, kind: Any = pin.COLLISION) -> None:
+    def __init__(self, setup: Setup, srdf: str | None = None) -> None:
         self.model = model = setup.robot.model
-        self.shapes = pin.buildGeomFromUrdfString(model, setup.robot.urdf, kind)
+        self.shapes = pin.buildGeomFromUrdfString(model, setup.robot.urdf, pin.COLLISION)
         self.shapes.addAllCollisionPairs()
         if srdf is not None:
             pin.removeCollisionPairsFromXML(model, self.shapes, srdf)
@@ -59,7 +59,6 @@ class Shapes:
         self.data, self.placed = model.createData(), self.shapes.createData()
 
     def touching(self, position: Any) -> set[frozenset[str]]:
-        """Return the pairs of different links that touch in a pose, rad."""
         pin.computeCollisions(self.model, self.data, self.shapes, self.placed, np.asarray(position), False)
         found = zip(self.shapes.collisionPairs, self.placed.collisionResults, strict=True)
         pairs = {frozenset((self.owners[p.first], self.owners[p.second])) for p, r in found if r.isCollision()}
@@ -67,30 +66,6 @@ class Shapes:
 
     def overlapping(self, position: Any) -> set[frozenset[str]]:
         return {pair for pair in self.touching(position) if np.ptp([self.joints[link] for link in pair]) > 1}
-
-
-POSES_OF = {
-    "rx90b": {
-        "straight up": [0.0] * 6,
-        "start of the reference task": [-0.464, 0.75, 1.449, 0.0, 0.943, -0.464],
-        "wrist bent as far as it goes": [0.0, 0.3, 0.9, 0.0, 2.0943, 0.0],
-        "wrist bent the other way": [0.0, 0.3, 0.9, 0.0, -1.8325, 0.0],
-    },
-    "tx40": {
-        "straight up": [0.0] * 6,
-        "start of the reference task": [-0.493, 0.87, 1.157, 0.0, 1.114, -0.493],
-        "wrist bent as far as it goes": [0.0, 0.3, 0.9, 0.0, 2.33, 0.0],
-        "wrist bent the other way": [0.5, 1.2, 1.2, 0.7, -2.094, 1.0],
-    },
-}
-
-
-@pytest.mark.parametrize(("robot", "pose"), [(robot, pose) for robot, poses in POSES_OF.items() for pose in poses])
-def test_links_that_are_no_neighbours_do_not_overlap(robot: str, pose: str, request: pytest.FixtureRequest) -> None:
-    """Neither shapes nor collision geometry of two links that no joint connects touch, the tool's included."""
-    setup = request.getfixturevalue("shipped" if robot == "rx90b" else robot)
-    for kind in (pin.COLLISION, pin.VISUAL):
-        assert Shapes(setup, kind=kind).overlapping(POSES_OF[robot][pose]) == set()
 
 
 @pytest.mark.parametrize("robot", ["shipped", "tx40"])
@@ -110,7 +85,6 @@ def test_what_is_seen_is_what_collides(robot: str, request: pytest.FixtureReques
 
 
 def surface(shape: Any) -> np.ndarray:
-    """Return points on the edges of a box or cylinder, or on a sphere, in the frame of its link."""
     geometry, place = shape.geometry, shape.placement
     angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     ring = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(24)])

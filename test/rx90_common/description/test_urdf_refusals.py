@@ -40,9 +40,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_bad_urdf_is_refused_naming_file_element_and_value(
-    case: str, shipped_files: RobotFiles, tmp_path: Path
-) -> None:
+def test_a_bad_urdf_is_refused_by_file_element_and_value(case: str, shipped_files: RobotFiles, tmp_path: Path) -> None:
     """One fault in the URDF gives one line with the file, the element, the value and what is accepted."""
     old, new, expected = CASES[case]
     text = shipped_files.urdf.read_text(encoding="utf-8")

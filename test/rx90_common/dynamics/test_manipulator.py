@@ -51,9 +51,7 @@ def test_the_compiled_arm_gives_the_rigid_torque(shipped: Setup) -> None:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_the_compiled_arm_gives_the_rigid_torque_of_any_arm(
-    shipped: Setup, random_arm: Callable[[int], Path], seed: int
-) -> None:
+def test_any_compiled_arm_gives_its_rigid_torque(shipped: Setup, random_arm: Callable[[int], Path], seed: int) -> None:
     """So does an arm with turned frames, skew axes, off-axis masses, a fixed load, other rotors and six springs."""
     rng = np.random.default_rng(seed)
     drives = shipped.drives.replaced(

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.stats import t
 
 from rx90_common.base.arrays import Array
-from rx90_common.estimation.choose import choose, held_out_squares, needed_errors
+from rx90_common.estimation.choose import Gain, choose, held_out_squares, needed_errors
 from rx90_common.estimation.deviations import deviations, law_deviations
 from rx90_common.estimation.elements import FrictionRows, SteadyRows, fit_laws
 from rx90_common.estimation.fit import Problem, fit
@@ -79,7 +79,6 @@ def test_outliers_and_noisy_groups_hardly_count() -> None:
 
 
 def linear_problem(rng: np.random.Generator, blocks: int, in_block: int, columns: int = 4) -> Problem:
-    """Return a linear problem whose blocks share errors and parts of the columns."""
     number = np.repeat(np.arange(blocks), in_block)
     matrix = rng.normal(size=(len(number), columns)) + rng.normal(size=(blocks, columns))[number]
     target = rng.normal(size=len(number)) + rng.normal(size=blocks)[number]
@@ -227,6 +226,13 @@ def test_evidence_for_an_exponent_is_that_of_the_whole_arm(seed: int) -> None:
         rows = sweeps([strong, strong, weak], seed, noise=0.01, common=0.02)
         chosen = choose(rows, [Part.EXPONENT], [Law()] * 3)
         assert chosen.laws[2].parts == expected
+
+
+def test_a_gain_at_a_bound_or_within_its_errors_is_not_kept() -> None:
+    """However clear it is, and whatever all elements together gain."""
+    assert Gain(0.03, 0.02).kept
+    assert not Gain(0.03, 0.02, "alpha", together=True).kept
+    assert not Gain(0.03, 0.02, errors=2.0).kept
 
 
 def test_a_bristle_beside_rise_and_exponent_needs_one_standard_error() -> None:

@@ -145,11 +145,7 @@ def test_fast_path_refuses_numbers_that_are_not_finite(bad):
 
 @pytest.mark.parametrize(
     ("stamp_ns", "array", "complaint"),
-    [
-        (-1, np.ones(6), "-1 ns"),
-        (0, np.ones(5), r"shape \(5,\)"),
-        (0, np.ones(6, dtype=np.int64), "int64"),
-    ],
+    [(-1, np.ones(6), "-1 ns"), (0, np.ones(5), r"shape \(5,\)"), (0, np.ones(6, dtype=np.int64), "int64")],
 )
 def test_encoding_refuses_what_the_message_cannot_hold(stamp_ns, array, complaint):
     """A stamp out of range, an array of another shape or type, and names that are not given once each are refused."""

@@ -44,7 +44,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
 
 @pytest.mark.parametrize("counted", [True, False])
 @pytest.mark.parametrize("timeout", [0.0, 0.001])
-def test_a_burst_is_received_to_its_last_message(
+def test_bursts_are_received_whole(
     client: Client, timeout: float, counted: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Messages that came while nobody looked are all received, in order, also where the middleware counts none."""
@@ -109,7 +109,6 @@ def test_a_wait_ends_with_a_message_or_a_wake(client: Client) -> None:
 
 
 def waited_for(end: TickChannel, act: Callable[[], object]) -> bytes | None:
-    """Return what another thread, which waits, receives when something is done."""
     got: list[bytes | None] = []
     thread = threading.Thread(target=lambda: got.append(end.receive(30.0)))
     thread.start()
@@ -121,9 +120,7 @@ def waited_for(end: TickChannel, act: Callable[[], object]) -> bytes | None:
 
 
 @pytest.mark.parametrize("polls", [True, False])
-def test_a_wait_over_dds_ends_with_a_message_or_a_wake(
-    client: Client, monkeypatch: pytest.MonkeyPatch, polls: bool
-) -> None:
+def test_a_dds_wait_ends_with_a_message_or_a_wake(client: Client, monkeypatch: pytest.MonkeyPatch, polls: bool) -> None:
     """So does who waits over DDS, while it polls and while it sleeps; a wait in vain takes its time, asleep."""
     monkeypatch.setattr("rx90_common.exchange.channel._BUSY_WAIT_NS", 10**11 if polls else 0)
     topics = f"dds_states_{polls}", f"dds_commands_{polls}"

@@ -19,7 +19,6 @@ NAMES = (PROFILES, RANGE, "FASTDDS_BUILTIN_TRANSPORTS", "RMW_IMPLEMENTATION", "R
 
 @pytest.fixture(autouse=True)
 def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Empty the variables; whatever `prepare` sets is taken back."""
     for name in NAMES:
         monkeypatch.setenv(name, "")  # so that monkeypatch remembers each of them
         monkeypatch.delenv(name)
@@ -99,9 +98,7 @@ def test_what_cannot_be_is_refused(monkeypatch: pytest.MonkeyPatch, name: str, v
     ("distribution", "accepted"),
     [("", "make action, in the project's folder"), ("jazzy", "sudo apt install ros-jazzy-control-msgs")],
 )
-def test_missing_types_are_one_line_that_says_how_to_get_them(
-    distribution: str, accepted: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_types_are_one_line(distribution: str, accepted: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without control_msgs the line names it and the command: the project's own, or apt's where ROS is sourced."""
     monkeypatch.setattr(sys, "path", [])
     for name in [name for name in sys.modules if name.partition(".")[0] == "control_msgs"]:

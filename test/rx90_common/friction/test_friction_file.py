@@ -35,9 +35,7 @@ def test_the_shipped_file_says_that_it_is_assumed_and_is_passive(shipped: Setup,
     assert shipped.friction.passivity_warnings(shipped.drives.turning.reach(shipped.robot.max_velocity)) == []
 
 
-def test_a_damping_that_is_not_passive_is_warned_of(
-    shipped: Setup, shipped_files: RobotFiles, edited_yaml: Edit
-) -> None:
+def test_a_damping_not_passive_is_warned_of(shipped: Setup, shipped_files: RobotFiles, edited_yaml: Edit) -> None:
     """The paper's constant c1 gives one line with file, element, value and the c1 that is accepted."""
     path = edited_yaml(shipped_files.friction, ("elements", "joint_1", "omega_d"), None, remove=True)
     friction = load_friction(path, RX_WRIST.element_names(NAMES))

@@ -139,8 +139,7 @@ WARM = TemperaturePart(
 CURVE = CurvePart.model_validate(
     {"velocity": [0.0, 0.01, 0.03, 0.1, 0.5, 2.0], "torque": [32.0, 30.0, 27.0, 25.5, 25.0, 25.5]}
 )
-CYCLES, STEPS, ROUNDS = 50, 40, 30
-"""Times seven elements: 10,500 cycles."""
+CYCLES, STEPS, ROUNDS = 50, 40, 30  # times seven elements: 10,500 cycles
 
 
 def cycles(rng: np.random.Generator) -> tuple[Array, float]:

@@ -124,8 +124,7 @@ def bam_friction(model: Sequence[float], load: float, v: float, *, driving: bool
     return float(brentq(surplus, 0.0, 1e6, xtol=1e-13, rtol=1e-13))
 
 
-LOADS, SPEEDS = range(0, 81, 2), [0.25 * k for k in range(13)]
-"""Where the load part is held against BAM, Nm and rad/s."""
+LOADS, SPEEDS = range(0, 81, 2), [0.25 * k for k in range(13)]  # where the load part is held against BAM, Nm and rad/s
 
 
 @lru_cache

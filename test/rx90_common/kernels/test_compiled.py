@@ -24,7 +24,6 @@ ANNOUNCE = "from rx90_common.kernels import announce_compilation\nannounce_compi
 
 
 def start(program: str, folder: Path, **variables: str) -> subprocess.Popen[str]:
-    """Start a program that finds modules in the folder, and has its cache beside it."""
     path = os.pathsep.join([str(folder), str(ROOT)])
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder.parent / "cache"), "PYTHONPATH": path, **variables}
     words, pipe = [sys.executable, "-c", program], subprocess.PIPE

@@ -28,12 +28,7 @@ from rx90_common.kernels.elementary import (
     signed_power,
     sine_cosine,
 )
-from rx90_common.kernels.lanes import (
-    fma,
-    load,
-    select,
-    store,
-)
+from rx90_common.kernels.lanes import fma, load, select, store
 from rx90_common.process.children import TIMEOUT
 
 pytestmark = pytest.mark.slow

@@ -14,8 +14,7 @@ SHIM = Path(__file__).with_name("ucsim_poll.c")
 CRYSTAL_MHZ = 11.0592
 CLOCKS_PER_INSTRUCTION = 16.0
 """Rough mean for this firmware (12 clocks a cycle); the error of one slice is made up for in the next."""
-BYTES_PER_MS = 1.92
-"""On the line; the simulator may hold bytes of its own after the line to it has run empty."""
+BYTES_PER_MS = 1.92  # on the line; the simulator may hold bytes of its own after the line to it has run empty
 MARKER = "918273645"
 MARK = "expr 918273644+1"
 """The console echoes its input in the midst of its output: the echo must not look like the answer."""
@@ -109,7 +108,6 @@ class UcsimBoard:
         self._look([*lines, f"step {max(1, steps // (edges + 1))}"])
 
     def _look(self, lines: list[str]) -> None:
-        """Run console commands, then see what the clock, the DAC's port and P3 show."""
         lines = [*lines, "expr sim_ticks", f"expr port{self.dac_port}_odr", "expr port3_odr"]
         *_, self._clock, self._dac, self._port3 = self._console(lines)
 

@@ -101,9 +101,8 @@ def presliding_drift(bristles: BristlesPart | None, low: float, high: float, cyc
 def test_only_lugre_drifts_below_break_away() -> None:
     """Under a load that oscillates below break-away LuGre's bristle walks by the closed-form way in each cycle.
 
-    Quasi-statically z follows the load; forwards dz/dx = 1 - z/g, backwards 1 + z/g, so a cycle between the parts l
-    and h of the Coulomb torque leaves g ln((1 - l^2) / (1 - h^2)). The elasto-plastic bristle is elastic there, and a
-    loop of Maxwell-slip blocks closes.
+    Quasi-statically dz/dx = 1 - z/g forwards, 1 + z/g backwards: a cycle between parts l and h of the Coulomb torque
+    leaves g ln((1 - l^2) / (1 - h^2)). An elasto-plastic bristle is elastic there, and Maxwell slip's loop closes.
     """
     low, high, g = 0.2, 0.6, 25.0 / 1e5
     lugre = presliding_drift(None, low, high, 12)

@@ -56,9 +56,7 @@ def test_near_steady_sliding_a_step_is_exact() -> None:
     break_away=st.floats(0.0, 0.9),
 )
 @settings(max_examples=120)
-def test_every_velocity_gives_numbers_within_the_bristle_s_range(
-    velocity: float, part: float, step: float, break_away: float
-) -> None:
+def test_every_velocity_keeps_the_bristle_s_range(velocity: float, part: float, step: float, break_away: float) -> None:
     """No velocity gives NaN, and a deflection within the static range never leaves it."""
     low, high = -47.0 / ELEMENT.c0, 32.0 / ELEMENT.c0
     z, torque = elasto_plastic_step(COMPILED, break_away, part * high if part > 0 else -part * low, velocity, step)
@@ -118,9 +116,7 @@ def test_a_slipping_block_that_moves_as_a_stuck_one_still_slips() -> None:
     attraction=st.floats(1e-6, 1e12),
 )
 @settings(max_examples=100)
-def test_every_history_gives_numbers_within_the_blocks_range(
-    velocities: list[float], step: float, attraction: float
-) -> None:
+def test_any_history_keeps_blocks_within_their_range(velocities: list[float], step: float, attraction: float) -> None:
     """No history gives NaN or a block beyond its share of the static torque."""
     arrays = record_of(MaxwellSlip(stiffness=BLOCKS.stiffness, share=BLOCKS.share, attraction=attraction))
     state = np.zeros((2, MAX_BLOCKS))
