@@ -24,8 +24,7 @@ from rx90_common.base.quoting import quoted
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.node.parameters import ControllerParameters
-from rx90_emulator.configuration.check import kind_named
-from rx90_emulator.configuration.kinds import KINDS, FileKind
+from rx90_emulator.configuration.check import KINDS, FileKind, kind_named
 from rx90_emulator.identification.experiments.plan import INDEX
 from tools import schemas
 

@@ -154,7 +154,7 @@ def test_what_cannot_be_run_is_refused(shipped: Setup) -> None:
 
 def diverging(setup: Setup) -> Setup:
     """Return a setup whose fourth joint an amplifier without limits and a far too large gain drive apart."""
-    kv = setup.controller.kv * [1, 1, 1, 30, 1, 1]
+    kv = np.multiply(setup.controller.servo.kv, [1, 1, 1, 30, 1, 1])
     wild = unchecked(
         setup.controller, servo={"kv": kv}, supervision={"following_error": np.full(6, 1e9), "over_speed": 1e9}
     )
@@ -192,7 +192,7 @@ def test_at_rest_the_torque_steps_by_no_more_than_one_count_of_the_position(ship
     assert run.fast is not None
     torque = shipped.drives.gear * run.fast.motor_commands[4000:]  # Nm at the joint, the last 0.5 s
     law, count = shipped.controller, 2 * math.pi / shipped.drives.encoder_counts / shipped.drives.gear
-    one_count = law.inertia * law.kv * law.kp * count
+    one_count = law.inertia * law.servo.kv * law.servo.kp * count
     assert np.all(np.abs(np.diff(torque, axis=0)).max(axis=0) <= 1.02 * one_count)
     assert np.any(np.abs(np.diff(torque, axis=0)).max(axis=0) > 0.1 * one_count)
 

@@ -12,7 +12,7 @@ from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import BagError
 from rx90_common.description.robot_files import RobotFiles
-from rx90_controller.lines.plan import Approach, approached
+from rx90_controller.lines.plan import approached
 from rx90_controller.lines.task import load_task
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.closed_loop import simulate
@@ -36,7 +36,7 @@ def test_the_approach_counts_apart(shipped: Setup, tmp_path: Path, capsys: pytes
     plan = plan_path(shipped, task)
     here = plan.start_pose + 0.05
     limits = shipped.controller.limits(shipped.robot)
-    line = approached(plan, here, limits, shipped.rates.position_period, Approach())
+    line = approached(plan, here, limits, shipped.rates.position_period, True)
     for name, duration in (("whole", line.duration), ("cut", line.duration - 3.0)):
         result = simulate(shipped, line.points, here, duration)
         write_bag(result, tmp_path / name)

@@ -19,7 +19,7 @@ from short_task import SHORT_TASK
 from rx90_common.description.kinematics import tip_position
 from rx90_common.exchange.arm_watch import JointSample, NodeStatus, Trajectory
 from rx90_common.process.children import ChildProcess
-from rx90_controller.lines.plan import Approach, approached
+from rx90_controller.lines.plan import approached
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import path_accuracy, plan_path
@@ -181,7 +181,7 @@ def test_the_largest_is_that_of_the_run(shipped: Setup, page: Page, of: str) -> 
     plan = plan_path(shipped, task)
     limits = shipped.controller.limits(shipped.robot)
     here = plan.start_pose + 0.05
-    line = approached(plan, here, limits, shipped.rates.position_period, Approach())
+    line = approached(plan, here, limits, shipped.rates.position_period, True)
     run = simulate(shipped, line.points, here)
     times, position = run.times[::10], run.slow.joint_states[::10, 0]
     expected = path_accuracy(shipped.robot, task, times, position, line.approach)
