@@ -54,7 +54,10 @@ class Loop(NamedTuple):
         """Return the loop of motor 1; the shipped gains are alike for all six."""
         controller, rates = setup.controller, setup.rates
         return cls(
-            *(float(gain[0]) for gain in (controller.kp, controller.kv, controller.ki)),
+            *(
+                float(gain[0])
+                for gain in (controller.servo.kp, controller.servo.kv, controller.servo.ki)
+            ),
             rates.period,
             rates.ratio,
             -np.expm1(-2.0 * np.pi * controller.current_loop.bandwidth * rates.period),

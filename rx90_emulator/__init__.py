@@ -60,8 +60,7 @@ if TYPE_CHECKING:
     from rx90_common.friction import FrictionElement as FrictionElement
     from rx90_common.friction.friction_file import FrictionFile as FrictionFile
     from rx90_controller.lines.task import LineTask as LineTask, load_task as load_task
-    from rx90_controller.paths.path import Path as Path
-    from rx90_controller.paths.path import Segment as Segment
+    from rx90_controller.paths.path import Path as Path, Segment as Segment
     from rx90_controller.trajectory import TrajectoryPoints as TrajectoryPoints
     from rx90_emulator.export.export import (
         export_robot as export_robot,
@@ -82,16 +81,16 @@ if TYPE_CHECKING:
         measured as measured,
     )
     from rx90_emulator.identification.arm import RigidArm as RigidArm
-    from rx90_emulator.identification.excitation import identify_excitation as identify_excitation
     from rx90_emulator.identification.excitation import (
         excitation_problem as excitation_problem,
+        identify_excitation as identify_excitation,
         predict_torque as predict_torque,
         regressor as regressor,
     )
     from rx90_emulator.identification.experiments.plan import (
         IdentificationBags as IdentificationBags,
+        plan_experiments as plan_experiments,
     )
-    from rx90_emulator.identification.experiments.plan import plan_experiments as plan_experiments
     from rx90_emulator.identification.experiments.series import record_on_engine as record_on_engine
     from rx90_emulator.identification.identify import (
         check_friction as check_friction,
@@ -126,13 +125,15 @@ if TYPE_CHECKING:
         parameters as parameters,
         with_parameters as with_parameters,
     )
-    from rx90_emulator.loop.path_file import load_path as load_path
+    from rx90_emulator.loop.path_file import (
+        load_path as load_path,
+        load_trajectory as load_trajectory,
+    )
     from rx90_emulator.loop.result import (
         RunResult as RunResult,
         write_bag as write_bag,
     )
     from rx90_emulator.loop.setup import Setup as Setup, load_setup as load_setup
-    from rx90_emulator.loop.path_file import load_trajectory as load_trajectory
     from rx90_emulator.sweep.execution import run_sweep as run_sweep
     from rx90_emulator.sweep.plan import (
         SweepPlan as SweepPlan,

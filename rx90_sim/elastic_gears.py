@@ -151,8 +151,7 @@ def hang_links(plant: Any, state: Any) -> None:
     """Move the links, `state.q`, from where the motors are to where they rest in the twisted gears; `state.v` is 0."""
     gears = state.transmission
     n = size(state.q)
-    for i in range(n):
-        gears.motor_angle[i] = state.q[i]
+    gears.motor_angle[:] = state.q
     # The weight changes little with the sag: each round leaves a hundredth or so of the error.
     for _ in range(_MAX_SAG_ROUNDS):
         mass_and_bias(plant.arm, state.body, state.q, state.v, state.mass_matrix, state.bias)
@@ -184,10 +183,9 @@ def elastic_reset(plant: Any, state: Any) -> None:
     """Twist the gears such that they carry the arm at rest, on closed brakes; its weight is `state.bias`."""
     gears = state.transmission
     _twist_by_weight(plant, gears, state.bias)
-    for i in range(size(state.bias)):
-        gears.rate[i] = gears.acceleration[i] = 0.0
-        gears.friction[i] = -gears.torque[i]
-        gears.link_torque[i] = -state.bias[i]
+    gears.rate[:] = gears.acceleration[:] = 0.0
+    gears.friction[:] = -gears.torque
+    gears.link_torque[:] = -state.bias
 
 
 @kernel

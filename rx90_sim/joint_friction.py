@@ -36,8 +36,7 @@ from rx90_sim.drives import relative_resistance
 @kernel
 def reset_friction(plant: Any, state: Any) -> None:
     """Begin with undeflected bristles, and with brakes that carry all of `state.bias`, Nm, shape (n,)."""
-    for i in range(size(state.z)):
-        state.z[i] = 0.0
+    state.z[:] = 0.0
     share_among_drives(plant.gear, state.bias, state.rhs)
     for i in range(size(state.bias)):
         element = element_of_motor(plant.gear, i)

@@ -115,12 +115,18 @@ def _plant_record(
     rates: Rates,
     substeps: int | None,
     seed: int,
-) -> np.ndarray[Any, Any]:
+) -> Record:
     """Return the constants of a `Plant`, shape (1,), of `plant_dtype`."""
     _check(drives, rates, substeps, seed)
     arm = manipulator_record(robot.chain, drives)
     substeps = plant_steps(robot, drives, friction, arm, rates.period, substeps)
-    _check_relax_times(friction, rates.period / substeps)
+    step = rates.period / substeps
+    for name, element in zip(friction.names, friction.elements, strict=True):
+        if element.load is not None and element.load.relax_time < step:
+            raise ConfigError(
+                f"friction.{name}.load.relax_time is {element.load.relax_time:g} s; accepted: at least the plant's "
+                f"step, {step:g} s"
+            )
     turning = drives.turning
     record = np.zeros(1, plant_dtype(turning.size))
     plant = record[0]
@@ -170,15 +176,6 @@ def _check(drives: DriveParameters, rates: Rates, substeps: int | None, seed: in
             f"{rates.base_hz / 2:g} Hz"
         )
     check_seed(seed)
-
-
-def _check_relax_times(friction: FrictionSet, step: float) -> None:
-    for name, element in zip(friction.names, friction.elements, strict=True):
-        if element.load is not None and element.load.relax_time < step:
-            raise ConfigError(
-                f"friction.{name}.load.relax_time is {element.load.relax_time:g} s; accepted: at least the plant's "
-                f"step, {step:g} s"
-            )
 
 
 def _fill_transmission(transmission: Any, drives: DriveParameters) -> None:
@@ -239,7 +236,7 @@ class Plant:
         self.joint_names = robot.joint_names
         self.friction = friction
         self.constants = _plant_record(robot, drives, friction, rates, substeps, seed)
-        self.state: np.ndarray[Any, Any] = (state := np.zeros(1, state_dtype(drives.turning.size)))
+        self.state: Record = (state := np.zeros(1, state_dtype(drives.turning.size)))
         self.tick = 0
         self._lower = robot.lower
         self._upper = robot.upper

@@ -11,11 +11,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rx90_common.arm_dynamics import factorise, mass_and_bias, solve
-from rx90_common.base.arrays import Record
+from rx90_common.base.arrays import Array, Record
 from rx90_common.description.coupling import to_joint_torque, to_motor
 from rx90_common.friction.arm_elements import element_inputs, element_of_motor
 from rx90_common.friction.bristle import friction_torque
@@ -50,7 +47,7 @@ from rx90_sim.joint_friction import (
 
 
 @kernel
-def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -> None:
+def plant_reset(plants: Record, states: Record, position: Array) -> None:
     """Put the arm at rest, brakes closed, in static equilibrium, with the motors where `position` has the joints.
 
     Args:
@@ -60,11 +57,10 @@ def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -
     """
     plant = plants[0]
     state = states[0]
-    for i in range(size(state.q)):
-        state.q[i] = position[i]
-        state.v[i] = state.acceleration[i] = state.drive_torque[i] = state.motor_torque[i] = 0.0
-        state.saturated[i] = 0
-        state.temperature[i] = plant.winding.initial
+    state.q[:] = position
+    state.v[:] = state.acceleration[:] = state.drive_torque[:] = state.motor_torque[:] = 0.0
+    state.saturated[:] = 0
+    state.temperature[:] = plant.winding.initial
     state.brakes_closed = 1
     if plant.transmission.flexible:
         hang_links(plant, state)
@@ -81,15 +77,13 @@ def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -
         add_twists(plant, state, state.observer)
     n = size(state.q)
     store(state.motor_position, whole_steps(load(state.observer, n), load(plant.resolution, n)))
-    for i in range(n):
-        state.motor_velocity[i] = 0.0
+    state.motor_velocity[:] = 0.0
 
 
 @kernel
-def _hold_cogging(plant: Any, state: Any, position: NDArray[np.float64]) -> None:
+def _hold_cogging(plant: Any, state: Any, position: Array) -> None:
     """Let the brakes hold the motors against their cogging, too."""
-    for i in range(size(state.rhs)):
-        state.rhs[i] = 0.0
+    state.rhs[:] = 0.0
     add_cogging(plant, state, position, state.v, state.rhs, plant.period)
     for i in range(size(state.rhs)):
         element = element_of_motor(plant.gear, i)
@@ -97,7 +91,7 @@ def _hold_cogging(plant: Any, state: Any, position: NDArray[np.float64]) -> None
 
 
 @kernel
-def plant_step(plants: Record, states: Record, command: NDArray[np.float64], powered: bool) -> int:
+def plant_step(plants: Record, states: Record, command: Array, powered: bool) -> int:
     """Hold the motor torques of `command` for one tick, then sample the encoders.
 
     Args:
@@ -170,9 +164,7 @@ def _worst_joint(plant: Any, state: Any) -> int:
 
 
 @kernel
-def friction_states(
-    plants: Record, states: Record, velocity: NDArray[np.float64], torque: NDArray[np.float64]
-) -> None:
+def friction_states(plants: Record, states: Record, velocity: Array, torque: Array) -> None:
     """Write input velocity, rad/s, and friction torque without the brakes', Nm, of the elements, shape (e,)."""
     plant = plants[0]
     state = states[0]
@@ -192,12 +184,11 @@ def friction_states(
 
 
 @kernel
-def _actuate(plant: Any, state: Any, command: NDArray[np.float64], powered: bool) -> None:
+def _actuate(plant: Any, state: Any, command: Array, powered: bool) -> None:
     """Turn motor torques into joint torques and predict how their jump changes the acceleration."""
     if powered == (state.brakes_closed == 1):
         state.brakes_closed = 0 if powered else 1
-        for i in range(size(state.brake_z)):
-            state.brake_z[i] = 0.0
+        state.brake_z[:] = 0.0
     for i in range(size(state.rhs)):
         torque = command[i] if powered else 0.0
         peak = plant.peak_torque[i]

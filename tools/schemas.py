@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from rx90_emulator.configuration.kinds import KINDS
+from rx90_emulator.configuration.check import KINDS
 
 FOLDER = Path(__file__).resolve().parent.parent / "config" / "schemas"
 

@@ -33,6 +33,16 @@ def record_type(*fields: Any, **contents: Any) -> np.dtype[np.void]:
     return np.dtype([*fields, *named], align=True)
 
 
+def rms(values: Array) -> float:
+    """Return the root mean square of all numbers of an array."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def interpolated(at: Array, times: NDArray[np.floating[Any]], values: Array) -> Array:
+    """Return columns of values, given at times, at others, shape (m, n); the ends hold beyond them."""
+    return np.column_stack([np.interp(at, times, column) for column in values.T])
+
+
 def array_digest(*arrays: NDArray[Any] | None) -> str:
     """Return a digest of arrays, 32 characters; None and an empty array differ, 0 and -0 do not."""
     digest = hashlib.sha256()

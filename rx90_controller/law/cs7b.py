@@ -93,13 +93,11 @@ def law_reset(states: Record) -> None:
 def law_release(states: Record) -> None:
     """Set integrators, currents and errors to zero; the next position tick does so with the model's bristles."""
     state = states[0]
-    for i in range(size(state.integrator)):
-        state.integrator[i] = state.position_torque[i] = state.feed_forward[i] = 0.0
-        state.error[i] = state.velocity_error[i] = 0.0
-        state.commanded[i] = state.current[i] = state.command[i] = 0.0
-        state.limited[i] = state.saturated[i] = 0
-        for k in range(3):
-            state.reference[k, i] = 0.0
+    state.integrator[:] = state.position_torque[:] = state.feed_forward[:] = 0.0
+    state.error[:] = state.velocity_error[:] = 0.0
+    state.commanded[:] = state.current[:] = state.command[:] = 0.0
+    state.limited[:] = state.saturated[:] = 0
+    state.reference[:] = 0.0
     state.model.parts = FRESH
 
 
@@ -273,7 +271,7 @@ class CS7B:
         self.joint_names = robot.joint_names
         self.rates = rates
         self.law = parameters.record(robot, drives, rates)
-        self.state: np.ndarray[Any, Any] = np.zeros(1, law_state_dtype(drives.turning.size))
+        self.state: Record = np.zeros(1, law_state_dtype(drives.turning.size))
         self._joints = n = len(robot.joint_names)
         self.trajectory = TrajectoryGenerator(
             parameters.limits(robot), rates.position_period, np.zeros(n)

@@ -128,7 +128,7 @@ class ArmModel:
         drives: gears, and how much heat the motors give.
     """
 
-    arm: np.ndarray[Any, Any]
+    arm: Record
     friction: tuple[FrictionElement, ...]
     drives: DriveParameters
 
@@ -266,11 +266,9 @@ def _frictional(parts: int) -> bool:
 def begin_parts(state: Any) -> None:
     """Store the feed-forward before other parts are switched on; bristles that were off begin undeflected."""
     own = state.model
-    for i in range(size(own.before)):
-        own.before[i] = state.feed_forward[i]
+    own.before[:] = state.feed_forward
     if not _frictional(own.parts):
-        for i in range(size(own.friction.z)):
-            own.friction.z[i] = 0.0
+        own.friction.z[:] = 0.0
 
 
 @kernel

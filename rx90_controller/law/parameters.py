@@ -5,14 +5,22 @@ from __future__ import annotations
 import math
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from rx90_common.base.arrays import Array, record_type
+from rx90_common.base.arrays import Array, Record, record_type
 from rx90_common.base.errors import ConfigError, located
-from rx90_common.base.models import FileModel, Positive, RowOf, check_counts, quantity, read_model
+from rx90_common.base.models import (
+    FileModel,
+    Positive,
+    Row,
+    RowOf,
+    check_counts,
+    quantity,
+    read_model,
+)
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import Rates
 from rx90_common.description.coupling import ArmSize, gear_type
@@ -20,7 +28,6 @@ from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_common.kernels.elementary import exponential_less_one_of, powers
-from rx90_controller.law.full_speeds import FullSpeeds
 from rx90_controller.law.model import FRICTION, INVERSE_DYNAMICS, ModelFiles, model_dtype
 from rx90_controller.trajectory import JointLimits
 
@@ -200,6 +207,22 @@ class TrajectoryLimits(FileModel):
     ]
 
 
+class FullSpeeds(FileModel):
+    """Full speeds of V+ programs."""
+
+    joint_speed: Annotated[RowOf[Positive], quantity("deg/s", "Of each joint.")]
+    joint_acceleration: Annotated[RowOf[Positive], quantity("deg/s^2", "Of each joint.")]
+    linear_speed: Annotated[float, quantity("mm/s", "Of the tool along a line.", gt=0.0)]
+    linear_acceleration: Annotated[float, quantity("mm/s^2", "Likewise.", gt=0.0)]
+    rotary_speed: Annotated[float, quantity("deg/s", "Of the tool's turn along a line.", gt=0.0)]
+    rotary_acceleration: Annotated[float, quantity("deg/s^2", "Likewise.", gt=0.0)]
+    zero: Annotated[Row, quantity("deg", "Joint values of V+ where the URDF's are 0.")]
+    ready: Annotated[Row, quantity("deg", "Joint values of READY.")]
+    null_tolerance: Annotated[
+        float, quantity("deg", "Position error at which a motion is over, with FINE 100.", gt=0.0)
+    ]
+
+
 class CS7BParameters(FileModel):
     """Gains, limits and switches of servo controllers: lists of one value for each motor, seen from its joint.
 
@@ -226,31 +249,6 @@ class CS7BParameters(FileModel):
         return np.array(self.servo.inertia)
 
     @cached_property
-    def kp(self) -> Array:
-        """Return proportional gains of the position loops, 1/s."""
-        return np.array(self.servo.kp)
-
-    @cached_property
-    def kv(self) -> Array:
-        """Return gains of the velocity loops, 1/s."""
-        return np.array(self.servo.kv)
-
-    @cached_property
-    def ki(self) -> Array:
-        """Return integral gains, 1/s^3."""
-        return np.array(self.servo.ki)
-
-    @cached_property
-    def coulomb(self) -> Array:
-        """Return Coulomb friction to compensate, Nm."""
-        return np.array(self.feed_forward.coulomb_torque)
-
-    @cached_property
-    def viscous(self) -> Array:
-        """Return viscous friction to compensate, Nm (s/rad)^exponent."""
-        return np.array(self.feed_forward.viscous_friction)
-
-    @cached_property
     def viscous_exponent(self) -> Array:
         """Return its exponents."""
         return np.array(self.feed_forward.viscous_exponent)
@@ -271,9 +269,7 @@ class CS7BParameters(FileModel):
             self.trajectory.start_tolerance,
         )
 
-    def record(
-        self, robot: RobotModel, drives: DriveParameters, rates: Rates
-    ) -> np.ndarray[Any, Any]:
+    def record(self, robot: RobotModel, drives: DriveParameters, rates: Rates) -> Record:
         """Return the law's constants, shape (1,), of `controller_dtype`."""
         sensor = drives.current_sensor
         loop = self.current_loop
@@ -288,19 +284,23 @@ class CS7BParameters(FileModel):
         gear = np.abs(drives.gear)  # limits and friction are the same in both directions of a motor
         switch = self.feed_forward
         drives.turning.fill(law, "gear", drives.gear)
-        law["derivative"] = self.inertia * self.kv / gear_squared
-        law["proportional"] = self.inertia * self.kv * self.kp / gear_squared
-        law["integral"] = self.inertia * self.ki / gear_squared * rates.position_period
+        law["derivative"] = self.inertia * self.servo.kv / gear_squared
+        law["proportional"] = self.inertia * self.servo.kv * self.servo.kp / gear_squared
+        law["integral"] = self.inertia * self.servo.ki / gear_squared * rates.position_period
         law["integrator_limit"] = self.servo.integrator_limit / gear
         law["velocity_weight"] = float(switch.velocity)
         law["inertia"] = (
             self.inertia / gear_squared * (switch.acceleration and not switch.inverse_dynamics)
         )
-        law["coulomb"] = self.coulomb / gear * (switch.coulomb and not switch.friction_model)
+        law["coulomb"] = (
+            switch.coulomb_torque / gear * (switch.coulomb and not switch.friction_model)
+        )
         law["coulomb_velocity"] = switch.coulomb_velocity * gear
         # A torque tau_v |v|^a of the joint, at the motor: 1/n of it, at a velocity n times as fast.
         viscous = switch.viscous and not switch.friction_model
-        law["viscous"] = self.viscous / powers(np.abs(gear), 1.0 + self.viscous_exponent) * viscous
+        law["viscous"] = (
+            switch.viscous_friction / powers(np.abs(gear), 1.0 + self.viscous_exponent) * viscous
+        )
         law["viscous_exponent"] = self.viscous_exponent
         law["torque_constant"] = drives.torque_constant
         law["peak_current"] = drives.peak_current

@@ -30,6 +30,9 @@ from rx90_controller.paths.path import Path
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
 
+APPROACH_SPEED = 0.25
+APPROACH_ACCELERATION = 2.0
+"""With which the joints move to the start of a line, all together: a share of their speed limits, and rad/s²."""
 TIP_TOLERANCE = 1e-7  # m
 _WIDEST_SPACING = 0.064  # s
 _REFINEMENTS = 6
@@ -354,37 +357,12 @@ def check_plan(
         raise LineError(f"the controller would refuse the {plan.task.what}: {error}") from error
 
 
-@dataclass(frozen=True)
-class Approach:
-    """A move in joint space from rest to rest, to the start of the line; all joints start and stop together.
-
-    Attributes:
-        speed: share of the joints' speed limits, in (0, 1].
-        acceleration: of each joint, rad/s².
-
-    Raises:
-        LineError: if speed or acceleration are not usable.
-    """
-
-    speed: float = 0.25
-    acceleration: float = 2.0
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.speed <= 1.0:
-            raise LineError(
-                f"the approach speed is {self.speed:g}; accepted: a share in (0, 1] of the joint speeds"
-            )
-        if not (math.isfinite(self.acceleration) and self.acceleration > 0.0):
-            raise LineError(
-                f"the approach acceleration is {self.acceleration:g} rad/s^2; accepted: a number > 0"
-            )
-
-    def duration(self, robot: RobotModel, start: Array, end: Array) -> float:
-        """Return how long a quintic move between two poses, rad, shape (n,), takes, s: up to 15/8 dq/T, 10/√3 dq/T²."""
-        way = np.abs(end - start)
-        by_speed = 15.0 / 8.0 * way / (self.speed * robot.max_velocity)
-        by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * way / self.acceleration)
-        return float(np.maximum(by_speed, by_acceleration).max())
+def approach_duration(robot: RobotModel, start: Array, end: Array) -> float:
+    """Return how long a quintic move between two poses, rad, shape (n,), takes, s: up to 15/8 dq/T, 10/√3 dq/T²."""
+    way = np.abs(end - start)
+    by_speed = 15.0 / 8.0 * way / (APPROACH_SPEED * robot.max_velocity)
+    by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * way / APPROACH_ACCELERATION)
+    return float(np.maximum(by_speed, by_acceleration).max())
 
 
 class ApproachedLine(NamedTuple):
@@ -406,7 +384,7 @@ class ApproachedLine(NamedTuple):
 
 
 def approached(
-    plan: LinePlan, here: Array, limits: JointLimits, period: float, approach: Approach | None
+    plan: LinePlan, here: Array, limits: JointLimits, period: float, approach: bool
 ) -> ApproachedLine:
     """Return a line with the move to its start, checked as the controller does.
 
@@ -415,7 +393,7 @@ def approached(
         here: the arm's position, rad, shape (n,).
         limits: the controller's.
         period: of its set-points, s.
-        approach: the move, None if the arm must be at the start already.
+        approach: whether the arm moves there; else it must be at the start already.
 
     Raises:
         LineError: if the arm is elsewhere and there is no approach, or if the controller would refuse the approach.
@@ -426,12 +404,12 @@ def approached(
     way = float(gap[joint])
     if way <= limits.start_tolerance:
         return ApproachedLine(plan.points, 0.0, plan.duration, name, way)
-    if approach is None:
+    if not approach:
         raise LineError(
             f"{name} is at {here[joint]:.4f} rad, the {plan.task.what} starts at {plan.start_pose[joint]:.4f} rad; "
             f"accepted: within {limits.start_tolerance:g} rad, or --approach"
         )
-    duration = math.ceil(approach.duration(plan.path.robot, here, plan.start_pose) * 1e3) / 1e3
+    duration = math.ceil(approach_duration(plan.path.robot, here, plan.start_pose) * 1e3) / 1e3
     check_plan(plan, limits, period, here, duration)
     points = replace(plan.points, times=plan.times + duration)
     return ApproachedLine(points, duration, plan.duration + duration, name, way)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from pydantic import Field
@@ -24,6 +24,9 @@ from rx90_common.description.rotations import (
     turn_between,
 )
 
+if TYPE_CHECKING:
+    from rx90_controller.paths.profile import LimitedProfile
+
 MARGIN_RANGE = (1e-3, 1.0)
 LONGEST_LINE = 10.0
 LONGEST_REST = LONGEST_MOTION = 3600.0
@@ -36,6 +39,8 @@ USUAL_SPEED = 0.1
 USUAL_ACCELERATION = 1.0
 """What a line has whose speed and acceleration nobody names, m/s and m/s²."""
 
+Vector: TypeAlias = tuple[float, ...]
+"""Some numbers: a place, a posture, angles, times."""
 _Rest: TypeAlias = Annotated[
     float, quantity("s", "Time at rest before, or after, the motion.", ge=0.0, le=LONGEST_REST)
 ]
@@ -148,19 +153,6 @@ class PathMotion(NamedTuple):
     acceleration: Array
 
 
-class Profile(Protocol):
-    """A motion along a path from rest to rest, as TrapezoidalProfile is one."""
-
-    @property
-    def duration(self) -> float: ...  # noqa: D102
-    @property
-    def peak_speed(self) -> float: ...  # noqa: D102
-    @property
-    def corners(self) -> tuple[float, ...]: ...  # noqa: D102
-    def sample(self, times: Array) -> PathMotion: ...  # noqa: D102
-    def speed_at(self, distance: Array) -> Array: ...  # noqa: D102
-
-
 @dataclass(frozen=True)
 class TrapezoidalProfile:
     """A motion from rest to rest; a triangle if the line is too short to reach the speed.
@@ -197,7 +189,7 @@ class TrapezoidalProfile:
         return self.length / self.peak_speed + self.ramp_time
 
     @property
-    def corners(self) -> tuple[float, ...]:
+    def corners(self) -> Vector:
         """Return the times at which the acceleration jumps, s."""
         end = self.duration
         ramp = self.ramp_time
@@ -244,12 +236,12 @@ class TipTask(Protocol):
     acceleration: float
     branch: Branch
     singularity_margin: float
-    start_posture: tuple[float, ...] | None
+    start_posture: Vector | None
 
     @property
     def length(self) -> float: ...  # noqa: D102 - as LineTask's, all of them
-    def profile(self) -> Profile: ...  # noqa: D102
-    def corners(self) -> tuple[float, ...]: ...  # noqa: D102
+    def profile(self) -> TrapezoidalProfile | LimitedProfile: ...  # noqa: D102
+    def corners(self) -> Vector: ...  # noqa: D102
     def places(self, step: float, least: int) -> Array: ...  # noqa: D102
     def poses(self, distance: Array) -> Pose: ...  # noqa: D102
     def twists(self, distance: Array) -> tuple[Array, Array]: ...  # noqa: D102
@@ -307,17 +299,17 @@ class LineTask(TipTask):
         LineError: naming the value and what is accepted.
     """
 
-    start: tuple[float, ...]
-    end: tuple[float, ...]
+    start: Vector
+    end: Vector
     speed: float = USUAL_SPEED
     acceleration: float = USUAL_ACCELERATION
-    start_rpy: tuple[float, ...] = TOOL_DOWN
-    end_rpy: tuple[float, ...] = TOOL_DOWN
+    start_rpy: Vector = TOOL_DOWN
+    end_rpy: Vector = TOOL_DOWN
     rest_before: float = 0.5
     rest_after: float = 0.5
     branch: Branch = DEFAULT_BRANCH
     singularity_margin: float = 0.05
-    start_posture: tuple[float, ...] | None = None
+    start_posture: Vector | None = None
 
     what: ClassVar[str] = "line"
 
@@ -353,7 +345,7 @@ class LineTask(TipTask):
         """Return the speed profile along the line."""
         return TrapezoidalProfile(self.length, self.speed, self.acceleration)
 
-    def corners(self) -> tuple[float, ...]:
+    def corners(self) -> Vector:
         """Return the times of the motion at which an acceleration jumps, s."""
         return self.profile().corners
 
@@ -402,6 +394,6 @@ def load_task(name: Path | str | None = None, *, robot: Path | str | None = None
     return read_model(TaskFile, file).task(file)
 
 
-def radians(degrees: tuple[float, ...]) -> tuple[float, ...]:
+def radians(degrees: Vector) -> Vector:
     """Return angles that a file has in degrees."""
     return tuple(math.radians(angle) for angle in degrees)

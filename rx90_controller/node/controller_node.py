@@ -156,7 +156,7 @@ class Control:
             lambda values: law_of(of_file, values).record(robot, drives, rates),
             loop.change_law,
         )
-        loop.options = parameters.options
+        loop.options = parameters
         loop.tolerances = parameters.tolerances
         loop.servo.streaming = parameters.stream
         loop.scale_speed(parameters.speed_scaling.initial_scaling_factor)

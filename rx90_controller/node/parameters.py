@@ -168,13 +168,6 @@ class ControllerParameters(ControllerFiles, GoalOptions):
         return law_of(of_file, {block: dict(getattr(self, block)) for block in LAW_BLOCKS})
 
     @property
-    def options(self) -> GoalOptions:
-        """Return the permitted exceptions from the checks."""
-        return GoalOptions(
-            **{name: value for name, value in self if name in GoalOptions.model_fields}
-        )
-
-    @property
     def tolerances(self) -> GoalTolerances:
         """Return the tolerances of trajectories, and of goals without tolerances of their own."""
         return GoalTolerances.of_parameters(self.joints, self.constraints)

@@ -36,7 +36,7 @@ from rx90_common.exchange.topics import (
     REFERENCE,
     TRAJECTORY_ACCEPTED,
 )
-from rx90_controller.lines.plan import Approach, LinePlan, approached
+from rx90_controller.lines.plan import LinePlan, approached
 from rx90_controller.node.sent_trajectory import SentTrajectory
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
@@ -322,7 +322,7 @@ def deliver(
     controller: str,
     limits: JointLimits,
     set_point_period: float,
-    approach: Approach | None,
+    approach: bool,
     *,
     start_time: float = 0.0,
     correction: Correction | None = None,
@@ -338,7 +338,7 @@ def deliver(
         controller: name of the controller node.
         limits: the controller's.
         set_point_period: the controller's, s.
-        approach: the move to the start of the line, None if the arm must be there already.
+        approach: whether the arm moves to the start of the line; else it must be there already.
         start_time: time at which the trajectory starts, s; 0 means now.
         correction: of the line, None for none.
         starting: time beyond the timeout that a starting controller is waited for, s.
@@ -351,7 +351,7 @@ def deliver(
     trajectory.wait_for_controller(starting)
     here = plan.start_pose
     arm: NewestPositions | None = None
-    if approach is not None or start_time <= 0.0:
+    if approach or start_time <= 0.0:
         arm = trajectory.arm(plan.joint_names)
         here = arm.position
     # else: where the arm will be by then is not known here; the controller checks it

@@ -73,9 +73,7 @@ class Circular:
         """Return a derivative."""
         angle = distance / self.radius + 0.5 * math.pi * order
         radial = np.cos(angle)[:, None] * self.outward + np.sin(angle)[:, None] * self.onward
-        return np.asarray(
-            self.radius ** (1 - order) * radial + (self.center if order == 0 else 0.0)
-        )
+        return self.radius ** (1 - order) * radial + (self.center if order == 0 else 0.0)
 
 
 class Polynomial:

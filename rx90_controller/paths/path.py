@@ -32,6 +32,7 @@ from rx90_controller.lines.task import (
     USUAL_ACCELERATION,
     USUAL_SPEED,
     TipTask,
+    Vector,
 )
 from rx90_controller.paths.curve import Curve, Piece, arc_about, arc_through, line, spline
 from rx90_controller.paths.profile import LimitedProfile, SpeedLimit
@@ -75,16 +76,16 @@ class Segment:
         corner: whether a spline that comes back to its start has a corner there; else it goes over into itself.
     """
 
-    points: tuple[tuple[float, ...], ...]
+    points: tuple[Vector, ...]
     kind: str = "line"
-    center: tuple[float, ...] | None = None
-    normal: tuple[float, ...] = (0.0, 0.0, 1.0)
+    center: Vector | None = None
+    normal: Vector = (0.0, 0.0, 1.0)
     speed: float | None = None
     zone: float = 0.0
-    end_rpy: tuple[float, ...] | None = None
+    end_rpy: Vector | None = None
     corner: bool = False
 
-    def piece(self, start: tuple[float, ...]) -> Piece:
+    def piece(self, start: Vector) -> Piece:
         """Return the curve from a place, m.
 
         Raises:
@@ -136,18 +137,18 @@ class Path(TipTask):
         LineError: naming the segment, the value and what is accepted.
     """
 
-    start: tuple[float, ...]
+    start: Vector
     segments: tuple[Segment, ...]
     speed: float = USUAL_SPEED
     acceleration: float = USUAL_ACCELERATION
     jerk: float = math.inf
     orientation: str = FIXED
-    start_rpy: tuple[float, ...] = TOOL_DOWN
+    start_rpy: Vector = TOOL_DOWN
     rest_before: float = 0.5
     rest_after: float = 0.5
     branch: Branch = DEFAULT_BRANCH
     singularity_margin: float = 0.05
-    start_posture: tuple[float, ...] | None = None
+    start_posture: Vector | None = None
     speed_policy: str = LOWER
     lowered: tuple[SpeedLimit, ...] = ()
     remarks: tuple[str, ...] = ()
@@ -219,7 +220,7 @@ class Path(TipTask):
         )
 
     @cached_property
-    def stops(self) -> tuple[float, ...]:
+    def stops(self) -> Vector:
         """Return where the tool stops, m: at the ends, and at corners that no zone rounds."""
         inner = self.curve.starts[1:-1]
         before = self.twists(inner + -1e-09)[0][:, 3:]
@@ -257,7 +258,7 @@ class Path(TipTask):
         """Return the motion along the path."""
         return self._profile
 
-    def corners(self) -> tuple[float, ...]:
+    def corners(self) -> Vector:
         """Return the times of the motion at which an acceleration jumps, s: of the motion, and where the curve does."""
         profile = self.profile()
         curve = self.curve
@@ -314,7 +315,7 @@ class Path(TipTask):
 
     def _turns(
         self, distance: Array
-    ) -> list[tuple[Index, tuple[float, ...], Array, tuple[Array, Array, Array]]]:
+    ) -> list[tuple[Index, Vector, Array, tuple[Array, Array, Array]]]:
         """Return for each segment its rows, orientation at its start, turn, and the completed share of the turn.
 
         The share comes with its first and second derivative by the distance.

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_controller.lines.task import PathMotion
+from rx90_controller.lines.task import PathMotion, Vector
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
@@ -51,7 +51,7 @@ class LimitedProfile:
     """
 
     limits: tuple[SpeedLimit, ...]
-    stops: tuple[float, ...]
+    stops: Vector
     acceleration: float
     jerk: float = math.inf
 
@@ -143,7 +143,7 @@ class LimitedProfile:
         return float(self.sample(np.array(self.corners)).speed.max())
 
     @property
-    def corners(self) -> tuple[float, ...]:
+    def corners(self) -> Vector:
         """Return the times at which the acceleration jumps, or its slope, s."""
         motion, mean = self._built
         times = motion.x if mean == 0.0 else np.sort(np.concatenate([motion.x, motion.x + mean]))
@@ -159,7 +159,7 @@ class LimitedProfile:
         end = float(motion.x[-1])
 
         def at(curve: PPoly, t: Array, past: float) -> Array:
-            inner = np.asarray(curve(np.clip(t, 0.0, end)))
+            inner = curve(np.clip(t, 0.0, end))
             return np.where(t < 0.0, 0.0, np.where(t > end, past, inner))
 
         t = np.asarray(times, dtype=np.float64)

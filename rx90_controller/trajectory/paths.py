@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.errors import ConfigError, TrajectoryError
 from rx90_controller.trajectory.points import TrajectoryPoints
 from rx90_controller.trajectory.spline import Spline, interpolate, resting, smooth
@@ -230,7 +229,7 @@ class JointLimits:
 
     def _of_setpoints(
         self, setpoints: Array, times: Array, knots: Array, reach: Array
-    ) -> Iterator[tuple[_Quantity, Array, Array, NDArray[np.intp]]]:
+    ) -> Iterator[tuple[_Quantity, Array, Array, Index]]:
         """Yield quantities of set-points, their values, shape (m, j), the times and the points that they lead to.
 
         Points closer to each other than two set-points can hide a jump from every sampled derivative, so that the steps
@@ -359,7 +358,7 @@ def check_time(
 def _by_degrees(
     times: Array,
     tables: tuple[Array, Array, Array | None],
-    degrees: NDArray[np.intp],
+    degrees: Index,
     limits: JointLimits,
     first: int,
 ) -> Spline:
@@ -497,9 +496,7 @@ def _both_ends(
     return least
 
 
-def _refuse_early(
-    point: int, early: NDArray[np.bool_], span: float, way: Array, limits: JointLimits
-) -> None:
+def _refuse_early(point: int, early: Mask, span: float, way: Array, limits: JointLimits) -> None:
     if early.any():
         joint = int(np.argmax(early))
         raise TrajectoryError(

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rx90_common.base.arrays import Array, Mask, array_digest
+from rx90_common.base.arrays import Array, Index, Mask, array_digest
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.quoting import counted, quoted
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
@@ -53,7 +52,7 @@ class TrajectoryPoints:
     named: Mask = field(default_factory=lambda: np.ones(0, dtype=np.bool_))
     first: int = 0
     smooth: bool = False
-    degrees: NDArray[np.intp] | None = None
+    degrees: Index | None = None
 
     def __post_init__(self) -> None:
         if not self.named.size:
@@ -255,7 +254,7 @@ def joint_table(
 
 def _degrees(
     velocity: Sequence[Sequence[float]], acceleration: Sequence[Sequence[float]]
-) -> NDArray[np.intp] | None:
+) -> Index | None:
     """Return the degrees of the ways to n points from their given values, shape (n,); None if all points are alike."""
     given = np.array([[len(row) > 0 for row in rows] for rows in (velocity, acceleration)])
     lacking = np.flatnonzero(given[1] & ~given[0])

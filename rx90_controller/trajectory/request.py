@@ -132,7 +132,7 @@ class GoalTolerances:
 
     Attributes:
         names: of the joints.
-        path: of position rad, velocity rad/s and acceleration rad/s^2 along the path, shape (3, j).
+        path: of position along the path, rad, shape (j,).
         goal: likewise at its end.
         goal_time: how long after its end the goal may take to be reached, s; infinite for "for ever".
     """
@@ -149,11 +149,8 @@ class GoalTolerances:
         """Return the tolerances of the node's parameters, by default those that it has if none are given."""
         constraints = constraints or Constraints()
         joints = [constraints.joints.get(name, JointConstraints()) for name in names]
-        path = np.full((3, len(names)), np.inf)
-        goal = np.full((3, len(names)), np.inf)
-        path[0] = [joint.trajectory or math.inf for joint in joints]
-        goal[0] = [joint.goal or math.inf for joint in joints]
-        goal[1] = constraints.stopped_velocity_tolerance or math.inf
+        path = np.array([joint.trajectory or math.inf for joint in joints])
+        goal = np.array([joint.goal or math.inf for joint in joints])
         return cls(tuple(names), path, goal, constraints.goal_time or math.inf)
 
     @cached_property
@@ -188,25 +185,30 @@ class GoalTolerances:
                         f"{what}: joint {quoted(name)} is unknown; accepted: {accepted}"
                     )
                 joint = self.names.index(name)
-                for row, (field, unit) in enumerate(_QUANTITIES):
-                    value = float(getattr(tolerance, field))
-                    table[row, joint] = _resolved(
-                        f"{what}: {field} of {name}", unit, value, defaults[row, joint]
+                # Those of velocity and acceleration are checked alone: with commands of position they are always kept.
+                resolved = [
+                    _resolved(
+                        f"{what}: {field} of {name}",
+                        unit,
+                        float(getattr(tolerance, field)),
+                        defaults[joint],
                     )
+                    for field, unit in _QUANTITIES
+                ]
+                table[joint] = resolved[0]
             tables.append(table)
         most = _resolved("goal_time_tolerance", "s", goal_time, self.goal_time)
         return GoalTolerances(self.names, tables[0], tables[1], most)
 
-    def worst(self, error: Array, limit: Array) -> str | None:
+    def worst(self, error: Array, accepted: Array) -> str | None:
         """Return the relatively largest violation of a tolerance of position, in words; None without one.
 
         joint_trajectory_controller leaves the errors of velocity and acceleration at 0 where it commands positions.
 
         Args:
             error: of position, rad, shape (j,).
-            limit: one of `path` and `goal`.
+            accepted: one of `path` and `goal`.
         """
-        accepted = limit[0]
         beyond = ~(np.abs(error) <= accepted) & np.isfinite(accepted)
         if not beyond.any():
             return None

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rx90_common.bags.tolerance import GRAMMAR, Tolerances
+import rx90_emulator as rx
+from rx90_common.bags.tolerance import GRAMMAR
 from rx90_common.bags.topics import SUITE_TOPICS
 from rx90_common.base.errors import BagError, ConfigError, check_replaced
 from rx90_common.base.quoting import counted, listed, plain, quoted
@@ -46,13 +47,13 @@ a signal map (docs/howto/bags.md says more):
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Add a parser for each verb, whose help is what its function says of itself."""
     parser.set_defaults(ros_args=[])  # `ros2 run` and launch files append them
     add_verbs(parser, _VERBS)
 
 
-def _add_topics(parser: argparse.ArgumentParser, default: str) -> None:
+def _add_topics(parser: ArgumentParser, default: str) -> None:
     parser.add_argument(
         "--topic",
         nargs="+",
@@ -62,17 +63,17 @@ def _add_topics(parser: argparse.ArgumentParser, default: str) -> None:
     )
 
 
-def _add_signals(parser: argparse.ArgumentParser) -> None:
+def _add_signals(parser: ArgumentParser) -> None:
     add_signals_argument(parser, "what the columns of a CSV, Parquet or NPZ table hold")
 
 
-def _signals(args: argparse.Namespace) -> LogMapping | None:
+def _signals(args: Namespace) -> LogMapping | None:
     from rx90_common.bags.mapping import LogMapping
 
     return None if args.signals is None else LogMapping.load(args.signals)
 
 
-def _add_record(parser: argparse.ArgumentParser) -> None:
+def _add_record(parser: ArgumentParser) -> None:
     parser.add_argument(
         "topics", nargs="*", metavar="TOPIC",
         help=f"topics to record; each must get a message (default: {' '.join(SUITE_TOPICS)}, as far as they do)",
@@ -80,7 +81,7 @@ def _add_record(parser: argparse.ArgumentParser) -> None:
     add_output(parser, new_folder, "bag to make; must not exist", metavar="FOLDER", required=True)
 
 
-def _record(args: argparse.Namespace) -> int:
+def _record(args: Namespace) -> int:
     """Record topics of a running system to a new bag, and prove that nothing was lost."""
     # Before the slow imports: a signal at any moment from here on still leaves a valid bag.
     stop = stop_request()
@@ -126,7 +127,7 @@ def _report(counts: Sequence[TopicCount], output: Path, *, requested: bool) -> i
     return 1 if failures else 0
 
 
-def _add_compare(parser: argparse.ArgumentParser) -> None:
+def _add_compare(parser: ArgumentParser) -> None:
     parser.add_argument("bag_a", **_BAG | {"metavar": "A"})
     parser.add_argument("bag_b", metavar="B", help="bag to compare it with")
     _add_signals(parser)
@@ -147,41 +148,37 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def _compare(args: argparse.Namespace) -> int:
+def _compare(args: Namespace) -> int:
     """Compare the joint states of two bags and judge: exit 0 same, 1 differs, 2 cannot be compared.
 
     Messages are paired by header.stamp and joints by name. Of several messages with one stamp, exact repetitions
     count once, and different ones are paired in their order. Stamps, joints and arrays that only one bag has make a
     difference. Bags of runs that began at other times are aligned with --align.
     """
-    from rx90_common.bags.comparison import Scope, compare_bags
-    from rx90_common.bags.tables import comparison_text
-
-    scope = Scope(
+    scope = rx.Scope(
         topics=tuple(dict.fromkeys(args.topics)) if args.topics else None,
         common_range=args.common_range,
         align=alignment(args.align),
     )
-    comparison = compare_bags(
-        args.bag_a, args.bag_b, Tolerances(*args.tolerance), scope, _signals(args)
+    comparison = rx.compare_bags(
+        args.bag_a, args.bag_b, rx.Tolerances(*args.tolerance), scope, _signals(args)
     )
-    print(comparison_text(comparison))
+    print(rx.comparison_text(comparison))
     return int(comparison.verdict)
 
 
-def _add_path(parser: argparse.ArgumentParser) -> None:
+def _add_path(parser: ArgumentParser) -> None:
     parser.add_argument("bags", type=Path, **_BAG | {"nargs": "+"})
     _add_signals(parser)
     add_robot_arguments(parser, "urdf", "tool", "drives")
 
 
-def _path(args: argparse.Namespace) -> None:
+def _path(args: Namespace) -> None:
     """Print how far the tip was from the path of the bag's set-points, across and along it, and its orientation."""
     from rx90_common.description.robot import load_robot
-    from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.measured_runs.recorded_path import recorded_accuracy
 
-    files = RobotFiles.of_options(args)
+    files = rx.RobotFiles.of_options(args)
     robot = load_robot(files.urdf, files.tool)
     signals = _signals(args)
     for bag in args.bags:
@@ -210,7 +207,7 @@ def alignment(text: str) -> int | str:
     raise BagError(f"--align is {quoted(text)}; accepted: {accepted}")
 
 
-def _add_plot(parser: argparse.ArgumentParser) -> None:
+def _add_plot(parser: ArgumentParser) -> None:
     parser.set_defaults(interrupted=_NOTHING_WRITTEN)
     parser.add_argument("bag", type=Path, **_BAG)
     parser.add_argument("second", type=Path, nargs="?", metavar="BAG2", help="bag to draw over it")
@@ -223,7 +220,7 @@ def _add_plot(parser: argparse.ArgumentParser) -> None:
                         help="moves the stamps of BAG2, as in compare (%(default)s)")  # fmt: skip
 
 
-def _plot(args: argparse.Namespace) -> None:
+def _plot(args: Namespace) -> None:
     """Draw joint states of a bag, or of two bags over each other: a page to zoom in.
 
     Without options it shows joint states, friction and tracking error, as far as the bag has them.
@@ -241,7 +238,7 @@ def _plot(args: argparse.Namespace) -> None:
     print(f"plot: {plain(output.resolve())}")
 
 
-def _add_export(parser: argparse.ArgumentParser) -> None:
+def _add_export(parser: ArgumentParser) -> None:
     parser.set_defaults(interrupted=_NOTHING_WRITTEN)
     parser.add_argument("bag", type=Path, **_BAG)
     _add_signals(parser)
@@ -250,7 +247,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     _add_topics(parser, "all")
 
 
-def _export(args: argparse.Namespace) -> None:
+def _export(args: Namespace) -> None:
     """Write joint states of a bag as tables: CSV, Parquet, or NPZ with names that MATLAB takes.
 
     The suffix of --output says the format; without one it is a folder with a CSV file for each topic. Every number
@@ -269,8 +266,8 @@ def _export(args: argparse.Namespace) -> None:
     print(f"written: {plain(args.output)}")
 
 
-def _add_import(parser: argparse.ArgumentParser) -> None:
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+def _add_import(parser: ArgumentParser) -> None:
+    parser.formatter_class = RawDescriptionHelpFormatter
     parser.epilog = _MAPPING
     parser.set_defaults(interrupted=_NOTHING_WRITTEN)
     parser.add_argument("log", type=Path, metavar="LOG", help="log to read")
@@ -278,24 +275,23 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     _add_signals(parser)
 
 
-def _import(args: argparse.Namespace) -> None:
+def _import(args: Namespace) -> None:
     """Make a bag of joint states from a log in columns, whose signal map says what they hold."""
     from rx90_common.bags.logs import read_log
-    from rx90_common.bags.writing import write_joint_states
 
     log = read_log(args.log, _signals(args))
-    write_joint_states(args.bag, log)
+    rx.write_joint_states(args.bag, log)
     for series in log:
         print(f"{plain(series.topic)}: {counted(len(series.stamp_ns), 'message')}")
     print(f"bag: {plain(args.bag)}")
 
 
-def _add_info(parser: argparse.ArgumentParser) -> None:
+def _add_info(parser: ArgumentParser) -> None:
     parser.add_argument("bag", **_BAG)
     _add_signals(parser)
 
 
-def _info(options: argparse.Namespace) -> None:
+def _info(options: Namespace) -> None:
     """Summarise a bag: topics, counts, rates, times, and gaps between stamps."""
     from rx90_common.bags.summary import summarise
     from rx90_common.bags.tables import summary_text

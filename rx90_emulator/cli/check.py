@@ -6,6 +6,7 @@ import argparse
 import re
 import shutil
 import sys
+from argparse import ArgumentParser, Namespace
 
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
 from rx90_common.base.quoting import one_line, plain, quoted
@@ -29,7 +30,7 @@ docs/howto/controller_check.md says more.
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Add the command's options."""
     parser.epilog = _EPILOG
     parser.set_defaults(
@@ -51,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_robot_arguments(parser)
 
 
-def main(options: argparse.Namespace) -> int:
+def main(options: Namespace) -> int:
     """Return 0 where the controller keeps all limits, else 1."""
     at_joints = options.joint_commands is not None
     if options.set_points is not None and not _NAME.fullmatch(options.set_points):

@@ -8,12 +8,20 @@ from __future__ import annotations
 
 import argparse
 import inspect
+from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 from pathlib import Path
 
 from rx90_emulator.cli.frame import VERBS
 from rx90_emulator.cli.node import NODES
-from rx90_emulator.cli.options import command_of, module_of, new_file, new_folder, place
+from rx90_emulator.cli.options import (
+    add_options,
+    command_of,
+    module_of,
+    new_file,
+    new_folder,
+    place,
+)
 
 _SHELLS = ("bash", "zsh", "fish")
 _FILES = {
@@ -26,19 +34,16 @@ _FILES = {
     "LOG",
     "TASK",
     "PATH",
-    "REFERENCE",
-    "DIR",
-    "BASELINE",
 }
 """Placeholders of arguments that are files or folders; arguments of the type Path need none of them."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("shell", choices=_SHELLS)
 
 
-def main(options: argparse.Namespace) -> None:
+def main(options: Namespace) -> None:
     """Print the script that a shell reads."""
     import shtab
 
@@ -51,18 +56,18 @@ def main(options: argparse.Namespace) -> None:
         print(shtab.complete(parser, shell=options.shell))
 
 
-def _rx90() -> argparse.ArgumentParser:
+def _rx90() -> ArgumentParser:
     """Return the parser of `rx90` with those of all verbs, which otherwise are made when they are asked for."""
-    parser = argparse.ArgumentParser(prog="rx90")
+    parser = ArgumentParser(prog="rx90")
     verbs = parser.add_subparsers()
     for verb in VERBS:
         module = module_of(f"rx90 {verb}")
         summary = (inspect.getdoc(module) or "").split("\n")[0]
-        module.add_arguments(verbs.add_parser(verb, help=summary, description=summary))
+        add_options(verbs.add_parser(verb, help=summary, description=summary), module)
     return parser
 
 
-def _node(name: str) -> argparse.ArgumentParser:
+def _node(name: str) -> ArgumentParser:
     """Return the parser of a node, with the arguments that ROS reads."""
     parser, _ = command_of(name)
     parser.description = None
@@ -72,7 +77,7 @@ def _node(name: str) -> argparse.ArgumentParser:
     return parser
 
 
-def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+def _actions(parser: ArgumentParser) -> Iterator[argparse.Action]:
     """Yield the arguments of a command and of its verbs."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):

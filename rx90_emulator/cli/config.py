@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
 from rx90_common.base.quoting import one_line
 from rx90_common.description.robot_files import FILES, RobotFiles
-from rx90_emulator.cli.options import add_rig_argument, add_robot_arguments, add_verbs
+from rx90_emulator.cli.options import add_rig_argument, add_robot_arguments
 
 _KINDS = "controller, drives, friction, rig, sweep_plan …"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the verbs and their options."""
-    add_verbs(parser, _VERBS)
-
-
-def _add_check(check: argparse.ArgumentParser) -> None:
+def _add_check(check: ArgumentParser) -> None:
     check.add_argument("files", nargs="+", type=Path, metavar="FILE",
                        help="YAML file of the project, or a robot folder: its files, and whether they fit "
                        "together")  # fmt: skip
@@ -27,7 +22,7 @@ def _add_check(check: argparse.ArgumentParser) -> None:
     )
 
 
-def _check(options: argparse.Namespace) -> int:
+def _check(options: Namespace) -> int:
     """Say what is wrong in configuration files, each problem in a line with key, value and what is accepted.
 
     Exit code 0: nothing; 1: something is; 2: a file is not there, or it cannot be told what it is.
@@ -52,12 +47,12 @@ def _check(options: argparse.Namespace) -> int:
     return verdict
 
 
-def _add_show(show: argparse.ArgumentParser) -> None:
+def _add_show(show: ArgumentParser) -> None:
     add_robot_arguments(show, *FILES)
     add_rig_argument(show)
 
 
-def _show(options: argparse.Namespace) -> int:
+def _show(options: Namespace) -> int:
     """Show what a setup of the arm, and the friction rig, come to.
 
     Each value with its unit, where it comes from (file and line, or default of the code), whether it is
@@ -71,7 +66,7 @@ def _show(options: argparse.Namespace) -> int:
     return DONE
 
 
-_VERBS = (
+SUBCOMMANDS = (
     (_add_check, _check, "say what is wrong in configuration files"),
     (_add_show, _show, "show what a setup comes to, and where each value comes from"),
 )

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import rx90_emulator as rx
 from rx90_common.base.errors import DONE, VERDICT_NO, check_replaced
 from rx90_common.base.quoting import counted, one_line, plain
 from rx90_emulator.cli.options import (
@@ -14,7 +15,6 @@ from rx90_emulator.cli.options import (
     add_node_arguments,
     add_output,
     add_robot_arguments,
-    add_verbs,
     place,
     progress_bar,
     setup_of,
@@ -25,17 +25,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rx90_emulator.correction.file import CorrectionFile
-    from rx90_emulator.correction.learning import LearnedCorrection, Learner, Measured
+    from rx90_emulator.correction.learning import LearnedCorrection, Measured
     from rx90_emulator.correction.path import CorrectablePath
-    from rx90_emulator.loop.setup import Setup
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the verbs and their options."""
-    add_verbs(parser, _VERBS)
-
-
-def _add_engine(parser: argparse.ArgumentParser) -> None:
+def _add_engine(parser: ArgumentParser) -> None:
     _add_learning(parser)
     _add_trials(parser)
     parser.add_argument("--true-tip", action="store_true", help="learn from the simulated arm's tip, not from its "
@@ -43,14 +37,14 @@ def _add_engine(parser: argparse.ArgumentParser) -> None:
     add_robot_arguments(parser)
 
 
-def _add_nodes(parser: argparse.ArgumentParser) -> None:
+def _add_nodes(parser: ArgumentParser) -> None:
     _add_learning(parser)
     _add_trials(parser)
     add_node_arguments(parser)
     add_robot_arguments(parser)
 
 
-def _add_recorded(parser: argparse.ArgumentParser) -> None:
+def _add_recorded(parser: ArgumentParser) -> None:
     _add_learning(parser)
     parser.add_argument(
         "--bag",
@@ -66,7 +60,7 @@ def _add_recorded(parser: argparse.ArgumentParser) -> None:
     add_robot_arguments(parser)
 
 
-def _add_learning(parser: argparse.ArgumentParser) -> None:
+def _add_learning(parser: ArgumentParser) -> None:
     parser.set_defaults(interrupted="nothing was written")
     parser.add_argument("path", metavar="PATH", help="path file, task file of a line, or a trajectory (YAML, as "
                         "rx90 line --output writes it)")  # fmt: skip
@@ -87,13 +81,13 @@ def _add_learning(parser: argparse.ArgumentParser) -> None:
                         help="by how much the path error may grow from trial to trial, m (%(default)s)")  # fmt: skip
 
 
-def _add_trials(parser: argparse.ArgumentParser) -> None:
+def _add_trials(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--trials", type=whole_number, metavar="N", default=4, help="after the first (%(default)s)"
     )
 
 
-def _engine(options: argparse.Namespace) -> int:
+def _engine(options: Namespace) -> int:
     """Learn a correction of a path, trial by trial, in the closed loop without ROS.
 
     The first trial is without correction, or with the one of --previous. Exit code 1: the path got worse, trial after
@@ -109,7 +103,7 @@ def _engine(options: argparse.Namespace) -> int:
     return _end(options, _learned(options, learner, play, ENGINE), earlier)
 
 
-def _nodes(options: argparse.Namespace) -> int:
+def _nodes(options: Namespace) -> int:
     """Learn a correction of a path, trial by trial, on the running nodes; each trial is recorded.
 
     The first trial is without correction, or with the one of --previous. Exit code 1: the path got worse, trial after
@@ -128,24 +122,25 @@ def _nodes(options: argparse.Namespace) -> int:
     return _end(options, learned, earlier)
 
 
-def _recorded(options: argparse.Namespace) -> int:
+def _recorded(options: Namespace) -> int:
     """Learn from one recorded trial, played with the correction of --previous or without one.
 
     What is written is for the next trial. Exit code 1: the path got worse with the trial that was recorded; half the
     step is written.
     """
     from rx90_emulator.correction.learning import CorrectionError
-    from rx90_emulator.correction.recorded import learn_from_record, measured
 
     if options.bag is None and options.tip is None:
         raise CorrectionError(
             "no --bag and no --tip; accepted: one of them, or both of the same trial"
         )
     learner, earlier = _learner(options, tip=options.tip is not None)
-    found, lines = measured(learner.setup, learner.nominal, options.bag, options.tip, options.topic)
+    found, lines = rx.measured(
+        learner.setup, learner.nominal, options.bag, options.tip, options.topic
+    )
     print("\n".join(one_line(line) for line in lines))
     try:
-        learned, why = learn_from_record(learner, found, earlier)
+        learned, why = rx.learn_from_record(learner, found, earlier)
     except CorrectionError as error:
         print(one_line(f"learning has failed, nothing written: {error}"))
         return VERDICT_NO
@@ -153,24 +148,22 @@ def _recorded(options: argparse.Namespace) -> int:
     return _end(options, learned, earlier, said, why)
 
 
-def _learner(options: argparse.Namespace, *, tip: bool) -> tuple[Learner, CorrectionFile | None]:
+def _learner(options: Namespace, *, tip: bool) -> tuple[rx.Learner, CorrectionFile | None]:
     """Return what learns the path of the options, and the correction file that it goes on from."""
-    from rx90_emulator.correction.file import correction_files, load_correction
-    from rx90_emulator.correction.learning import Learner
-    from rx90_emulator.correction.methods import NormOptimal
+    from rx90_emulator.correction.file import correction_files
 
     for file in correction_files(options.output):
         check_replaced(file, force=options.force)
     setup = setup_of(options)
     path = _path(options.path, setup)
-    method = NormOptimal(options.effort)
-    earlier = None if options.previous is None else load_correction(options.previous)
+    method = rx.NormOptimal(options.effort)
+    earlier = None if options.previous is None else rx.load_correction(options.previous)
     previous = None if earlier is None else earlier.fitting(setup, path).offsets
-    return Learner(setup, path, method, tip=tip, noise=options.noise, previous=previous), earlier
+    return rx.Learner(setup, path, method, tip=tip, noise=options.noise, previous=previous), earlier
 
 
 def _learned(
-    options: argparse.Namespace, learner: Learner, play: Callable[..., Measured], where: str
+    options: Namespace, learner: rx.Learner, play: Callable[..., Measured], where: str
 ) -> LearnedCorrection:
     """Play the trials."""
     from rx90_emulator.correction.learning import learn
@@ -183,18 +176,17 @@ def _learned(
 
 
 def _end(
-    options: argparse.Namespace,
+    options: Namespace,
     learned: LearnedCorrection,
     earlier: CorrectionFile | None,
     said: str = "",
     why: str = "",
 ) -> int:
     """Show the trials, and write the correction."""
-    from rx90_emulator.correction.file import write_correction
     from rx90_emulator.correction.learning import summary
 
     print(summary(learned.trials))
-    write_correction(learned, options.output, earlier)
+    rx.write_correction(learned, options.output, earlier)
     said = said or f"worst {learned.best.worst * 1e3:.4f} mm"
     print(one_line(f"written to {options.output}: {said}"))
     if learned.remark:
@@ -205,29 +197,25 @@ def _end(
     return DONE
 
 
-def _path(name: str, setup: Setup) -> CorrectablePath:
+def _path(name: str, setup: rx.Setup) -> CorrectablePath:
     """Return the path of a file: a path file, a task of a line, or a trajectory."""
-    from rx90_emulator.correction.path import TrajectoryPath
-    from rx90_emulator.loop.line import plan_path
-    from rx90_emulator.loop.path_file import is_trajectory, load_motion, load_trajectory
+    from rx90_emulator.loop.path_file import is_trajectory, load_motion
 
     file = Path(name)
     if file.is_file() and is_trajectory(file):
-        return TrajectoryPath.of(setup, load_trajectory(file, setup.robot.joint_names))
-    return plan_path(setup, load_motion(name))
+        return rx.TrajectoryPath.of(setup, rx.load_trajectory(file, setup.robot.joint_names))
+    return rx.plan_path(setup, load_motion(name))
 
 
-def _add_show(show: argparse.ArgumentParser) -> None:
+def _add_show(show: ArgumentParser) -> None:
     show.add_argument("file", type=Path, metavar="FILE", help="correction file")
 
 
-def _show(options: argparse.Namespace) -> None:
+def _show(options: Namespace) -> None:
     """Show what a correction file holds: for what it was learned, its trials, and its offsets."""
     import numpy as np
 
-    from rx90_emulator.correction.file import load_correction
-
-    found = load_correction(options.file)
+    found = rx.load_correction(options.file)
     head = found.head
     offsets = found.correction.offsets
     period = found.correction.period
@@ -240,7 +228,7 @@ def _show(options: argparse.Namespace) -> None:
     print(f"largest offset {float(np.abs(offsets).max()):.3g} rad, fastest change {rate:.3g} rad/s")
 
 
-def _add_precompensate(precompensate: argparse.ArgumentParser) -> None:
+def _add_precompensate(precompensate: ArgumentParser) -> None:
     precompensate.add_argument("file", type=Path, metavar="FILE", help="correction file")
     precompensate.add_argument(
         "path", metavar="PATH", help="task, path or trajectory that it is of"
@@ -254,20 +242,19 @@ def _add_precompensate(precompensate: argparse.ArgumentParser) -> None:
     precompensate.set_defaults(interrupted="nothing was written")
 
 
-def _precompensate(options: argparse.Namespace) -> None:
+def _precompensate(options: Namespace) -> None:
     """Write the corrected path as a trajectory, for a controller without a channel, and say what is lost.
 
     The path errors are those of the engine, with the arm of the files.
     """
     check_replaced(options.output, force=options.force)
-    from rx90_emulator.correction.file import load_correction
     from rx90_emulator.correction.precompensation import corrected_trajectory, travelled_error
     from rx90_emulator.loop.trajectory_file import write_trajectory
 
     setup = setup_of(options)
     path = _path(options.path, setup)
     cutoff = options.cutoff
-    found = load_correction(options.file)
+    found = rx.load_correction(options.file)
     points = corrected_trajectory(setup, path, found.fitting(setup, path), cutoff)
     before = travelled_error(setup, path, path.points)
     after = travelled_error(setup, path, points)
@@ -282,7 +269,7 @@ def _precompensate(options: argparse.Namespace) -> None:
     )
 
 
-_VERBS = (
+SUBCOMMANDS = (
     (_add_engine, _engine, "learn a correction from trials in the closed loop without ROS"),
     (_add_nodes, _nodes, "learn it from trials on the running nodes"),
     (_add_recorded, _recorded, "learn from one recorded trial of an arm"),

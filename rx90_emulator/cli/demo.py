@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
+from argparse import ArgumentParser, Namespace
 from datetime import datetime
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from rx90_emulator.cli.options import (
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Add the command's options."""
     add_output(
         parser, new_folder, "folder for bags, logs and report (out/demo/<time>)", metavar="FOLDER"
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted="every process has ended")
 
 
-def main(options: argparse.Namespace) -> int:
+def main(options: Namespace) -> int:
     """Return 0 for a run that is identical to the closed loop and within the path limit, else 1."""
     stay_on_this_machine()
     prepare()

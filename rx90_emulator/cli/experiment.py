@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import rx90_emulator as rx
 from rx90_common.base.quoting import one_line
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import MODEL_FILES, NO_TOOL
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 
     from rx90_emulator.identification.experiments.arms import PlannedArm
     from rx90_emulator.identification.experiments.plan import Experiment
-    from rx90_emulator.loop.setup import Setup
 
 _EPILOG = """\
 Bags that are complete stay, whatever ends the run. No motion is checked for collisions, but for those of excitation:
@@ -41,45 +41,37 @@ Set-points keep the joints' ranges and speed limits, and the expected torque kee
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the verbs and their options."""
-    add_verbs(parser, (
-        (_add_sliding, _sliding, "one joint after the other: sweeps and micro-oscillations"),
-        (_add_excitation, _excitation, "a Fourier series of all joints at once"),
-    ))  # fmt: skip
-
-
-def _add_sliding(parser: argparse.ArgumentParser) -> None:
+def _add_sliding(parser: ArgumentParser) -> None:
     add_verbs(parser, _verbs(_add_sliding_options))
 
 
-def _sliding(_: argparse.Namespace) -> None:
+def _sliding(_: Namespace) -> None:
     """Sweeps at constant velocity and micro-oscillations, joint after joint, for rx90 identify sliding."""
 
 
-def _add_excitation(parser: argparse.ArgumentParser) -> None:
+def _add_excitation(parser: ArgumentParser) -> None:
     any_arm = (_add_any, _any, "plan them for any arm, of which no more is known than its URDF")
     add_verbs(parser, (*_verbs(_add_robot_excitation), any_arm))
 
 
-def _excitation(_: argparse.Namespace) -> None:
+def _excitation(_: Namespace) -> None:
     """A Fourier series of all joints at once, for rx90 identify excitation."""
 
 
-def _verbs(add_options: Callable[[argparse.ArgumentParser], None]) -> tuple[Verb, ...]:
+def _verbs(add_options: Callable[[ArgumentParser], None]) -> tuple[Verb, ...]:
     """Return the verbs of a kind of experiments, whose own options `add_options` adds."""
 
-    def add_plan(parser: argparse.ArgumentParser) -> None:
+    def add_plan(parser: ArgumentParser) -> None:
         add_options(parser)
         _add_motions(parser)
 
-    def add_engine(parser: argparse.ArgumentParser) -> None:
+    def add_engine(parser: ArgumentParser) -> None:
         add_options(parser)
         parser.set_defaults(interrupted="complete bags stay")
         about = "folder for the bags; must not exist"
         add_output(parser, new_folder, about, metavar="FOLDER", required=True)
 
-    def add_nodes(parser: argparse.ArgumentParser) -> None:
+    def add_nodes(parser: ArgumentParser) -> None:
         add_engine(parser)
         add_node_arguments(parser, 60.0)
 
@@ -98,12 +90,12 @@ def _verbs(add_options: Callable[[argparse.ArgumentParser], None]) -> tuple[Verb
     )
 
 
-def _add_robot_excitation(parser: argparse.ArgumentParser) -> None:
+def _add_robot_excitation(parser: ArgumentParser) -> None:
     _add_excitation_options(parser)
     add_robot_arguments(parser, *MODEL_FILES, "poses")
 
 
-def _add_any(parser: argparse.ArgumentParser) -> None:
+def _add_any(parser: ArgumentParser) -> None:
     _add_excitation_options(parser)
     parser.add_argument("--urdf", type=Path, metavar="FILE", required=True, help=URDF)
     parser.add_argument("--tool", metavar="FILE", help="tool file (none)")
@@ -113,7 +105,7 @@ def _add_any(parser: argparse.ArgumentParser) -> None:
     _add_motions(parser)
 
 
-def _add_sliding_options(parser: argparse.ArgumentParser) -> None:
+def _add_sliding_options(parser: ArgumentParser) -> None:
     parser.set_defaults(excitation=False, home=None)
     parser.epilog = _EPILOG
     parser.add_argument("--group", action="append", default=[], metavar="NAME",
@@ -122,7 +114,7 @@ def _add_sliding_options(parser: argparse.ArgumentParser) -> None:
     add_robot_arguments(parser, *MODEL_FILES, "poses")
 
 
-def _add_excitation_options(parser: argparse.ArgumentParser) -> None:
+def _add_excitation_options(parser: ArgumentParser) -> None:
     parser.set_defaults(excitation=True)
     parser.epilog = _EPILOG
     _add_quick(parser, "one tempo, a short search")
@@ -142,11 +134,11 @@ def _add_excitation_options(parser: argparse.ArgumentParser) -> None:
                         "middle of the joints' ranges where there are none)")  # fmt: skip
 
 
-def _add_quick(parser: argparse.ArgumentParser, text: str) -> None:
+def _add_quick(parser: ArgumentParser, text: str) -> None:
     parser.add_argument("--quick", action="store_true", help=text)
 
 
-def _add_motions(parser: argparse.ArgumentParser) -> None:
+def _add_motions(parser: ArgumentParser) -> None:
     text = (
         "write each motion there, for any controller: NAME.yaml, a trajectory, and NAME.csv, its set-points; must not "
         "exist"
@@ -155,18 +147,15 @@ def _add_motions(parser: argparse.ArgumentParser) -> None:
     add_rate(parser)
 
 
-def _plan(options: argparse.Namespace) -> None:
+def _plan(options: Namespace) -> None:
     """Show the experiments, and write their motions if asked to; nothing moves."""
-    # Here, because --help must not wait for them.
-    from rx90_emulator.identification.experiments.arms import PlannedArm
-
-    setup = setup_of(options)
-    arm = PlannedArm.from_setup(setup, options.home)
-    _write(options, arm, _described(options, arm, setup))
+    _, arm, plan = _planned(options)
+    _write(options, arm, plan)
 
 
-def _any(options: argparse.Namespace) -> None:
+def _any(options: Namespace) -> None:
     """Plan excitation runs for an arm of which only the URDF is known, and write them for its own controller."""
+    # Here, because --help must not wait for it.
     from rx90_emulator.identification.experiments.arms import PlannedArm
 
     tool = None if options.tool in (None, NO_TOOL) else resolve_config(options.tool)
@@ -176,49 +165,58 @@ def _any(options: argparse.Namespace) -> None:
     _write(options, arm, _described(options, arm, None))
 
 
-def _engine(options: argparse.Namespace) -> None:
+def _engine(options: Namespace) -> None:
     """Run the experiments in the closed loop without ROS, and write a bag of each."""
-    from rx90_emulator.identification.experiments import series
-
-    setup, plan = _planned(options)
-    series.record_on_engine(setup, plan, options.output)
+    setup, _, plan = _planned(options)
+    rx.record_on_engine(setup, plan, options.output)
     print(one_line(f"bags: {options.output}"))
 
 
-def _nodes(options: argparse.Namespace) -> None:
+def _nodes(options: Namespace) -> None:
     """Run the experiments on the controller node, and record a bag of each."""
-    from rx90_emulator.identification.experiments import series
+    from rx90_common.exchange.ros_start import prepare
+    from rx90_common.process.files import made_folder
 
-    setup, plan = _planned(options)
-    series.record_on_nodes(setup, plan, options.output, options.node, options.timeout)
+    setup, _, plan = _planned(options)
+    with made_folder(options.output):
+        prepare()
+        from rx90_emulator.identification.experiments.nodes import run_on_nodes
+
+        run_on_nodes(setup, plan, options.output, options.node, options.timeout)
     print(one_line(f"bags: {options.output}"))
 
 
-def _planned(options: argparse.Namespace) -> tuple[Setup, Sequence[Experiment]]:
-    """Return the setup of a robot, and the experiments, which are shown."""
+def _planned(
+    options: Namespace,
+) -> tuple[rx.Setup, PlannedArm, Sequence[Experiment]]:
+    """Return the setup of a robot, its arm, and the experiments, which are shown."""
     from rx90_emulator.identification.experiments.arms import PlannedArm
 
     setup = setup_of(options)
-    return setup, _described(options, PlannedArm.from_setup(setup, options.home), setup)
+    arm = PlannedArm.from_setup(setup, options.home)
+    return setup, arm, _described(options, arm, setup)
 
 
-def _described(
-    options: argparse.Namespace, arm: PlannedArm, setup: Setup | None
-) -> Sequence[Experiment]:
+def _described(options: Namespace, arm: PlannedArm, setup: rx.Setup | None) -> Sequence[Experiment]:
     """Return the experiments, which are shown: sweeps of a setup, or excitation runs of an arm."""
+    from tqdm import tqdm
+
     from rx90_emulator.identification.experiments import series
-    from rx90_emulator.identification.experiments.plan import plan_experiments
+    from rx90_emulator.identification.experiments.excitation import plan_excitation
 
     remarks: Sequence[str] = ()
     if options.excitation or setup is None:
-        plan, remarks = series.plan_with_progress(arm, _excitation_options(options))
+        chosen = _excitation_options(options)
+        # what is refused at once needs no progress line
+        with tqdm(desc="search", unit="step", disable=None, delay=1e-9) as bar:
+            plan, remarks = plan_excitation(arm, chosen, bar.update)
     else:
-        plan = plan_experiments(setup, options.group, quick=options.quick)
+        plan = rx.plan_experiments(setup, options.group, quick=options.quick)
     print(series.describe(plan, arm, remarks), flush=True)
     return plan
 
 
-def _excitation_options(options: argparse.Namespace) -> ExcitationOptions:
+def _excitation_options(options: Namespace) -> ExcitationOptions:
     walls = [Wall.through(numbers) for numbers in options.wall]
     if options.keep_above is not None:
         walls.append(Wall.above(options.keep_above))
@@ -226,10 +224,16 @@ def _excitation_options(options: argparse.Namespace) -> ExcitationOptions:
     return ExcitationOptions(walls=tuple(walls), **given, **(QUICK if options.quick else {}))
 
 
-def _write(options: argparse.Namespace, arm: PlannedArm, plan: Sequence[Experiment]) -> None:
+def _write(options: Namespace, arm: PlannedArm, plan: Sequence[Experiment]) -> None:
     """Write the motions of a plan, where it was asked for."""
     from rx90_emulator.identification.experiments import series
 
     if options.output is not None:
         series.write_motions(options.output, plan, arm, options.rate)
         print(one_line(f"motions: {options.output}, from home and back; bring the arm there first"))
+
+
+SUBCOMMANDS = (
+    (_add_sliding, _sliding, "one joint after the other: sweeps and micro-oscillations"),
+    (_add_excitation, _excitation, "a Fourier series of all joints at once"),
+)

@@ -6,9 +6,10 @@ shows what each simulator can hold.
 
 from __future__ import annotations
 
-import argparse
 import sys
+from argparse import ArgumentParser, Namespace
 
+import rx90_emulator as rx
 from rx90_common.base.errors import DONE, VERDICT_NO
 from rx90_emulator.cli.options import (
     POSITIVE,
@@ -19,7 +20,7 @@ from rx90_emulator.cli.options import (
 from rx90_emulator.export.targets import TARGETS
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Add the options."""
     parser.set_defaults(interrupted="nothing was written")
     parser.add_argument(
@@ -35,17 +36,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_robot_arguments(parser, "urdf", "tool", "drives", "friction")
 
 
-def main(options: argparse.Namespace) -> int:
+def main(options: Namespace) -> int:
     """Write the files, and print what they cost."""
-    # Here, because --help must not wait for them.
-    from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.export.export import export_robot, write_export
+    # Here, because --help must not wait for it.
     from rx90_emulator.loop.setup import load_arm
 
-    done = export_robot(
-        load_arm(RobotFiles.of_options(options)), options.target, speeds=options.speeds
+    done = rx.export_robot(
+        load_arm(rx.RobotFiles.of_options(options)), options.target, speeds=options.speeds
     )
-    write_export(done, options.output)
+    rx.write_export(done, options.output)
     print(done.text)
     print(f"\nwritten: {', '.join(done.files)} and export.yaml in {options.output}")
     if options.within is not None and done.largest > options.within:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import math
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import rx90_emulator as rx
 from rx90_common.base.errors import LineError
-from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.options import (
     FINITE,
     add_node_arguments,
@@ -25,7 +25,7 @@ from rx90_emulator.cli.options import (
 if TYPE_CHECKING:
     from rx90_common.description.robot import RobotModel
     from rx90_controller.lines.plan import LinePlan
-    from rx90_controller.lines.task import LineTask, TipTask
+    from rx90_controller.lines.task import TipTask
     from rx90_controller.trajectory import JointLimits
     from rx90_controller.trajectory.correction import Correction
 
@@ -40,10 +40,10 @@ _PLAIN_OPTIONS = ("start", "end", "speed", "acceleration", "start_posture")
 """Options that go into the task as they are."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Add the command's options."""
     parser.epilog = _EPILOG
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.formatter_class = RawDescriptionHelpFormatter
     parser.add_argument("task", nargs="?", metavar="TASK",
                         help="task file (the robot's task.yaml); what is given beside it wins over it, and start and "
                         "end together make a line of their own")  # fmt: skip
@@ -60,16 +60,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     motion.add_argument("--start-posture", type=FINITE, nargs="+", metavar="RAD",
                          help="of an arm without a spherical wrist: joint positions near which it starts (middle of "
                          "the ranges); without --start the line starts there, with the tool as it then is")  # fmt: skip
-    add_robot_arguments(parser, "urdf", "tool", "controller")
     add_sending(parser)
 
 
-def add_sending(parser: argparse.ArgumentParser) -> None:
-    """Add the options of what becomes of a plan."""
+def add_sending(parser: ArgumentParser) -> None:
+    """Add the options of the robot, and of what becomes of a plan."""
+    add_robot_arguments(parser, "urdf", "tool", "controller")
     parser.set_defaults(ros_args=[])
     send = parser.add_argument_group("sending")
     add_rate(send)
-    add_node_arguments(send, _TIMEOUT)
+    add_node_arguments(send)
     send.set_defaults(timeout=None)
     add_start_time(send, "0: now")
     send.add_argument(
@@ -88,14 +88,14 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
     add_output(send, place, about, metavar="FILE")
 
 
-def main(options: argparse.Namespace) -> None:
+def main(options: Namespace) -> None:
     """Plan the line, and send it."""
     plan_and_send(options, _task)
 
 
 def plan_and_send(
-    options: argparse.Namespace,
-    task_of: Callable[[argparse.Namespace, RobotFiles, RobotModel], TipTask],
+    options: Namespace,
+    task_of: Callable[[Namespace, rx.RobotFiles, RobotModel], TipTask],
 ) -> None:
     """Plan what `task_of` reads for an arm, show it, write it where asked for, and send it, except with --dry-run."""
     # Here, because --help must not wait for them.
@@ -103,7 +103,7 @@ def plan_and_send(
     from rx90_controller.law.parameters import load_controller
     from rx90_controller.lines.plan import check_plan, describe_line, plan_line
 
-    files = RobotFiles.of_options(options)
+    files = rx.RobotFiles.of_options(options)
     robot = load_robot(files.urdf, files.tool)
     period = 1.0 / options.rate
     task = task_of(options, files, robot)
@@ -111,7 +111,9 @@ def plan_and_send(
     plan = plan_line(robot, task, period, limits.acceleration)
     _say(describe_line(plan))
     check_plan(plan, limits, period, plan.start_pose)
-    correction = _correction(plan, options)
+    correction = None
+    if options.correction is not None:
+        correction = rx.load_correction(options.correction).fitting(setup_of(options), plan)
     if options.output is not None:
         from rx90_emulator.loop.trajectory_file import write_trajectory
 
@@ -127,18 +129,17 @@ def plan_and_send(
         _send(plan, limits, correction, options)
 
 
-def _task(options: argparse.Namespace, files: RobotFiles, robot: RobotModel) -> LineTask:
+def _task(options: Namespace, files: rx.RobotFiles, robot: RobotModel) -> rx.LineTask:
     """Return the task of the file, or of start and end alone, with the options laid over it."""
     from rx90_controller.lines.postures import task_from
-    from rx90_controller.lines.task import LineTask, load_task
 
     alone = options.task is None and options.end is not None
     if alone and options.start is not None:
-        task = LineTask(tuple(options.start), tuple(options.end))
+        task = rx.LineTask(tuple(options.start), tuple(options.end))
     elif alone and options.start_posture is not None:
         task = task_from(robot, options.start_posture, options.end)
     else:
-        task = load_task(files.required("task"))
+        task = rx.load_task(files.required("task"))
     given: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value
         for key in _PLAIN_OPTIONS
@@ -151,17 +152,8 @@ def _task(options: argparse.Namespace, files: RobotFiles, robot: RobotModel) -> 
     return replace(task, **given)
 
 
-def _correction(plan: LinePlan, options: argparse.Namespace) -> Correction | None:
-    """Return the correction of --correction, which must be one of this line."""
-    if options.correction is None:
-        return None
-    from rx90_emulator.correction.file import load_correction
-
-    return load_correction(options.correction).fitting(setup_of(options), plan)
-
-
 def _send(
-    plan: LinePlan, limits: JointLimits, correction: Correction | None, options: argparse.Namespace
+    plan: LinePlan, limits: JointLimits, correction: Correction | None, options: Namespace
 ) -> None:
     if not 0.0 <= options.start_time < 2.0**31:
         raise LineError(
@@ -172,13 +164,11 @@ def _send(
     prepare()
     # Here, because planning alone needs no ROS.
     from rx90_common.exchange.client_node import client_node
-    from rx90_controller.lines.plan import Approach
     from rx90_controller.node.trajectory_client import deliver
 
-    approach = Approach() if options.approach else None
     with client_node("rx90_line", options.timeout or _TIMEOUT, _say, options.ros_args) as client:
         wait = deliver(
-            client, plan, options.node, limits, 1.0 / options.rate, approach,
+            client, plan, options.node, limits, 1.0 / options.rate, options.approach,
             start_time=options.start_time, correction=correction, starting=0.0 if options.timeout else _STARTING,
         )  # fmt: skip
         if wait is None:

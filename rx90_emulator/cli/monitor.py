@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rx90_emulator.cli.options import (
     add_node_arguments,
     add_robot_arguments,
-    add_verbs,
     setup_of,
     whole_from,
 )
@@ -24,12 +23,7 @@ commands. The arm moves on the wall clock.
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the verbs and their options."""
-    add_verbs(parser, _VERBS)
-
-
-def _add_engine(parser: argparse.ArgumentParser) -> None:
+def _add_engine(parser: ArgumentParser) -> None:
     parser.epilog = _EPILOG
     parser.set_defaults(interrupted="programs and locations that were not stored are gone")
     parser.add_argument(
@@ -50,13 +44,13 @@ def _add_engine(parser: argparse.ArgumentParser) -> None:
     add_robot_arguments(parser)
 
 
-def _add_nodes(parser: argparse.ArgumentParser) -> None:
+def _add_nodes(parser: ArgumentParser) -> None:
     _add_engine(parser)
     parser.set_defaults(ros_args=[])
     add_node_arguments(parser)
 
 
-def _engine(options: argparse.Namespace) -> None:
+def _engine(options: Namespace) -> None:
     """Serve the monitor of an arm in the closed loop without ROS until Ctrl-C."""
     # Here, because --help must not wait for it.
     from rx90_emulator.vplus.cell import Cell, Engine
@@ -65,13 +59,13 @@ def _engine(options: argparse.Namespace) -> None:
     _serve(options, Cell(setup, Engine(setup, keep=False)), waits=True)
 
 
-def _nodes(options: argparse.Namespace) -> None:
+def _nodes(options: Namespace) -> None:
     """Serve the monitor of the arm of rx90_sim and rx90_controller until Ctrl-C."""
     with cell_of_nodes("rx90_monitor", options) as cell:
         _serve(options, cell, waits=False)
 
 
-def _serve(options: argparse.Namespace, cell: Cell, *, waits: bool) -> None:
+def _serve(options: Namespace, cell: Cell, *, waits: bool) -> None:
     from rx90_emulator.vplus.monitor import serve
 
     def announce(line: str) -> None:
@@ -80,7 +74,7 @@ def _serve(options: argparse.Namespace, cell: Cell, *, waits: bool) -> None:
     serve(cell, options.folder, announce, options.port, options.baud, waits=waits)
 
 
-_VERBS = (
+SUBCOMMANDS = (
     (_add_engine, _engine, "of an arm in the closed loop without ROS"),
     (_add_nodes, _nodes, "of the arm of running nodes"),
 )

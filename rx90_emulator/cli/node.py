@@ -6,7 +6,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    import argparse  # not before the frame has taken care of the signals
+    from argparse import (  # not before the frame has taken care of the signals
+        ArgumentParser,
+        Namespace,
+    )
 
 NODES = {
     "rx90_sim": "rx90_sim.node.simulation",
@@ -17,7 +20,7 @@ NODES = {
 """The executables that are nodes, or two of them, and the module whose `spin(ros_args)` runs each."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Accept arguments for ROS alone."""
     parser.usage = (
         f"{parser.prog} [--ros-args [-p NAME:=VALUE ...] [-r FROM:=TO ...] [--params-file FILE]]"
@@ -25,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(module=NODES[parser.prog], ros_args=[])
 
 
-def main(options: argparse.Namespace) -> None:
+def main(options: Namespace) -> None:
     """Run the node until it ends or is interrupted."""
     from rx90_common.exchange.ros_start import prepare
 

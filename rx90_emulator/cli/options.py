@@ -8,13 +8,15 @@ import math
 import os
 import re
 import sys
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
+import rx90_emulator as rx
 from rx90_common.base.errors import REFUSED, ConfigError, check_bag_name, check_place
 from rx90_common.base.quoting import one_line, plain, quoted
 from rx90_common.base.share import SHIPPED_RIG
@@ -27,9 +29,6 @@ from rx90_common.description.robot_files import (
     RobotFiles,
     shipped_robots,
 )
-
-if TYPE_CHECKING:
-    from rx90_emulator.loop.setup import Setup
 
 _EXIT_CODES = """
 exit status: 0 done, also after Ctrl-C for what runs until then (nodes, recorder, emulated rig); 1 done, and the verdict
@@ -46,7 +45,7 @@ _JOINTS = (
 )
 
 
-class CommandParser(argparse.ArgumentParser):
+class CommandParser(ArgumentParser):
     """A parser whose help, also that of each verb, ends with what the exit codes mean.
 
     A word such as -1e-3 is a number; argparse alone takes it for an option, and says that the number is missing.
@@ -71,8 +70,16 @@ def command_of(name: str) -> tuple[CommandParser, Callable[[Any], int | None]]:
     """Return the parser of a command, an executable or `rx90 VERB`, with its options, and what runs it."""
     module = module_of(name)
     parser = CommandParser(prog=name, description=inspect.getdoc(module))
-    module.add_arguments(parser)
+    add_options(parser, module)
     return parser, getattr(module, "main", _run_verb)
+
+
+def add_options(parser: ArgumentParser, module: ModuleType) -> None:
+    """Add the options of a command's module: those of its `SUBCOMMANDS`, or what its `add_arguments` adds."""
+    if hasattr(module, "SUBCOMMANDS"):
+        add_verbs(parser, module.SUBCOMMANDS)
+    else:
+        module.add_arguments(parser)
 
 
 def module_of(name: str) -> ModuleType:
@@ -178,12 +185,9 @@ def stay_on_this_machine() -> None:
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
 
 
-def setup_of(options: argparse.Namespace) -> Setup:
+def setup_of(options: Namespace) -> rx.Setup:
     """Return the setup of the robot, and of the single files of it, that the options name."""
-    # Here, because --help must not wait for it.
-    from rx90_emulator.loop.setup import Setup
-
-    return Setup.load(RobotFiles.of_options(options))
+    return rx.Setup.load(RobotFiles.of_options(options))
 
 
 @contextmanager
@@ -207,17 +211,12 @@ def add_output(
     parser.add_argument("-o", "--output", type=kind, help=text, **more)
 
 
-def add_force(parser: argparse.ArgumentParser) -> None:
+def add_force(parser: ArgumentParser) -> None:
     """Add --force, by which what a command writes may replace files."""
     parser.add_argument("--force", action="store_true", help="replace files that exist")
 
 
-def add_plot(parser: argparse.ArgumentParser, kind: Callable[[str], Path], text: str) -> None:
-    """Add --plot, a picture that a command writes."""
-    parser.add_argument("--plot", type=kind, metavar="FILE", help=text)
-
-
-def add_slow_only(parser: argparse.ArgumentParser) -> None:
+def add_slow_only(parser: ArgumentParser) -> None:
     """Add --slow-only, without which what is written holds the topics of the base rate, too."""
     parser.add_argument(
         "--slow-only", action="store_true", help="leave the two 4 kHz topics out of what is written"
@@ -246,19 +245,17 @@ def add_start_time(parser: argparse._ActionsContainer, default: str) -> None:
     )
 
 
-def add_rig_argument(parser: argparse.ArgumentParser) -> None:
+def add_rig_argument(parser: ArgumentParser) -> None:
     """Add --rig, the file of a friction rig."""
     parser.add_argument("--rig", default=SHIPPED_RIG, metavar="FILE", help="rig file (%(default)s)")
 
 
-Verb = tuple[
-    Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int | None], str
-]
+Verb = tuple[Callable[[ArgumentParser], None], Callable[[Namespace], int | None], str]
 """A verb of a command: the function that adds its arguments; the function that runs it, whose name is the verb and
 whose docstring is the description; its line in --help."""
 
 
-def add_verbs(parser: argparse.ArgumentParser, verbs: Sequence[Verb]) -> None:
+def add_verbs(parser: ArgumentParser, verbs: Sequence[Verb]) -> None:
     """Add a parser for each verb, whose function `options.run` then is."""
     added = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for add, run, text in verbs:
@@ -274,7 +271,7 @@ def add_robot_argument(parser: argparse._ActionsContainer) -> None:
                         "the paper's literal choices)")  # fmt: skip
 
 
-def add_robot_arguments(parser: argparse.ArgumentParser, *names: str) -> None:
+def add_robot_arguments(parser: ArgumentParser, *names: str) -> None:
     """Add --robot, and the options that name single files of it, by default the model's; `RobotFiles.of_options`."""
     robot = parser.add_argument_group(
         "robot", "a robot folder, and single files instead of those in it"
@@ -300,7 +297,7 @@ def add_node_arguments(group: argparse._ActionsContainer, timeout: float = 30.0)
     group.add_argument("--timeout", type=POSITIVE, default=timeout, metavar="S", help=about)
 
 
-def add_arm_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arm_arguments(parser: ArgumentParser) -> None:
     """Add the options that describe the arm that bags were recorded of: this project's robot, or any other."""
     add_robot_arguments(parser, "tool", "drives")
     either = parser.add_argument_group("any robot")

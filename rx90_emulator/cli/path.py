@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 
 from rx90_emulator.cli.line import add_sending, plan_and_send
-from rx90_emulator.cli.options import add_robot_arguments
 
 _EPILOG = """\
 The path file says where its points come from: itself, a CSV file or a DXF drawing.
@@ -13,20 +12,19 @@ example: rx90 path seam.yaml --approach
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Add the command's options."""
     parser.epilog = _EPILOG
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.formatter_class = RawDescriptionHelpFormatter
     parser.add_argument(
         "path",
         metavar="PATH",
         help="path file, or the name of a shipped one, such as paths/circle.yaml",
     )
-    add_robot_arguments(parser, "urdf", "tool", "controller")
     add_sending(parser)
 
 
-def main(options: argparse.Namespace) -> None:
+def main(options: Namespace) -> None:
     """Plan the path, and send it."""
     from rx90_emulator.loop.path_file import load_path
 

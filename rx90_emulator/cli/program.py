@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 import json
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,10 +15,8 @@ from rx90_emulator.cli.options import (
     POSITIVE,
     add_node_arguments,
     add_output,
-    add_plot,
     add_robot_arguments,
     add_slow_only,
-    add_verbs,
     check_picture,
     new_file,
     new_folder,
@@ -42,12 +40,7 @@ _MOST_FAULTS = 20
 _PERIODS = (1, 2, 4, 8, 16)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the verbs and their options."""
-    add_verbs(parser, _VERBS)
-
-
-def _add_engine(parser: argparse.ArgumentParser) -> None:
+def _add_engine(parser: ArgumentParser) -> None:
     _add_program(parser)
     parser.set_defaults(interrupted="only what is named above was written")
     add_output(parser, new_folder, "bag folder to write; must not exist", metavar="FOLDER")
@@ -55,18 +48,20 @@ def _add_engine(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--report", type=new_file, metavar="FILE", help="page to write (.html); must not exist"
     )
-    add_plot(parser, new_file, "picture of the tool's path to write")
+    parser.add_argument(
+        "--plot", type=new_file, metavar="FILE", help="picture of the tool's path to write"
+    )
 
 
-def _add_nodes(parser: argparse.ArgumentParser) -> None:
+def _add_nodes(parser: ArgumentParser) -> None:
     _add_program(parser)
     parser.set_defaults(ros_args=[], output=None, report=None, plot=None)
     add_node_arguments(parser)
 
 
-def _add_file(parser: argparse.ArgumentParser) -> None:
+def _add_file(parser: ArgumentParser) -> None:
     parser.epilog = _EPILOG
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.formatter_class = RawDescriptionHelpFormatter
     parser.add_argument("file", metavar="FILE", type=Path, help="file or folder of programs")
     parser.add_argument(
         "--reading",
@@ -77,7 +72,7 @@ def _add_file(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_program(parser: argparse.ArgumentParser) -> None:
+def _add_program(parser: ArgumentParser) -> None:
     _add_file(parser)
     parser.add_argument(
         "name", metavar="NAME", nargs="?", default="", help="program (the first one)"
@@ -114,7 +109,7 @@ def _add_program(parser: argparse.ArgumentParser) -> None:
     add_robot_arguments(parser)
 
 
-def _engine(options: argparse.Namespace) -> None:
+def _engine(options: Namespace) -> None:
     """Run a program in the closed loop without ROS, show what it did, write what was asked for."""
     if options.plot is not None:
         check_picture(options.plot)
@@ -134,7 +129,7 @@ def _engine(options: argparse.Namespace) -> None:
     _end(run, options)
 
 
-def _nodes(options: argparse.Namespace) -> None:
+def _nodes(options: Namespace) -> None:
     """Run a program on rx90_sim and rx90_controller, from where the arm is; rx90 bag record records it."""
     from rx90_emulator.vplus.run import run_in
 
@@ -147,9 +142,7 @@ def _nodes(options: argparse.Namespace) -> None:
 
 
 @contextmanager
-def cell_of_nodes(
-    name: str, options: argparse.Namespace, *inputs_and_period: Any
-) -> Iterator[Cell]:
+def cell_of_nodes(name: str, options: Namespace, *inputs_and_period: Any) -> Iterator[Cell]:
     """Give the cell of the arm of running nodes to a client with a name."""
     setup = setup_of(options)
     from rx90_common.exchange.ros_start import prepare
@@ -166,7 +159,7 @@ def cell_of_nodes(
         yield cell
 
 
-def _prepared(options: argparse.Namespace) -> tuple[list[Change], Memory]:
+def _prepared(options: Namespace) -> tuple[list[Change], Memory]:
     """Return the changes of inputs, and the programs."""
     from rx90_emulator.vplus.cell import load_inputs
 
@@ -174,13 +167,13 @@ def _prepared(options: argparse.Namespace) -> tuple[list[Change], Memory]:
     return inputs, _load(options)
 
 
-def _check(options: argparse.Namespace) -> None:
+def _check(options: Namespace) -> None:
     """Read and check files of programs; nothing runs."""
     memory = _load(options)
     print(f"{len(memory.programs)} programs without faults: {', '.join(memory.programs)}")
 
 
-def _load(options: argparse.Namespace) -> Memory:
+def _load(options: Namespace) -> Memory:
     """Return the programs of a file or folder; of several faults, those behind the first are shown before it."""
     from rx90_emulator.vplus.program import load_programs
     from rx90_emulator.vplus.values import LoadError
@@ -193,7 +186,7 @@ def _load(options: argparse.Namespace) -> Memory:
         raise
 
 
-def _chosen(options: argparse.Namespace) -> Options:
+def _chosen(options: Namespace) -> Options:
     from rx90_emulator.vplus.run import Options
 
     return Options(
@@ -205,7 +198,7 @@ def _chosen(options: argparse.Namespace) -> Options:
     )
 
 
-def _end(run: ProgramRun, options: argparse.Namespace) -> None:
+def _end(run: ProgramRun, options: Namespace) -> None:
     """Show what a run did, write what was asked for, and raise the error that ended it, if one did."""
     from rx90_common.process.files import write_text
     from rx90_emulator.loop.result import write_bag
@@ -248,7 +241,7 @@ def _readings(words: list[str]) -> Readings:
     return readings
 
 
-_VERBS = (
+SUBCOMMANDS = (
     (_add_engine, _engine, "run a program in the closed loop without ROS"),
     (_add_nodes, _nodes, "run a program on the running nodes"),
     (_add_file, _check, "read and check files, run nothing"),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
+from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,7 @@ from rx90_emulator.cli.run import (
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument(
         "bag", type=Path, metavar="BAG", help="bag: folder, .mcap, .db3 or ROS 1 .bag file"
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_run_arguments(parser)
 
 
-def main(options: argparse.Namespace) -> None:
+def main(options: Namespace) -> None:
     """Read the bag, run, show what came out, write what was asked for."""
     # Here, because --help must not wait for it.
     from rx90_emulator.loop.recorded_run import read_run, replay

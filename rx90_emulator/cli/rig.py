@@ -5,7 +5,7 @@ What has been measured until a refusal stands in the folder of results.
 
 from __future__ import annotations
 
-import argparse
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from rx90_common.base.share import resolve_config
@@ -15,7 +15,6 @@ from rx90_emulator.cli.options import (
     add_output,
     add_rig_argument,
     add_robot_argument,
-    add_verbs,
     new_folder,
     whole_from,
 )
@@ -23,18 +22,13 @@ from rx90_emulator.cli.options import (
 _SEED = whole_from(0, 2**31 - 1)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the verbs and their options."""
-    add_verbs(parser, _VERBS)
-
-
-def _add_selftest(parser: argparse.ArgumentParser) -> None:
+def _add_selftest(parser: ArgumentParser) -> None:
     parser.set_defaults(interrupted="the torque is off")
     _add_line(parser)
     add_rig_argument(parser)
 
 
-def _selftest(options: argparse.Namespace) -> int:
+def _selftest(options: Namespace) -> int:
     """Test line, figures, stop, torque limit and watchdog of a rig, and print what was expected and found.
 
     Nobody need be there, and the shaft stays at rest. The exit code is 0 if all is as expected, 1 if something is not,
@@ -45,7 +39,7 @@ def _selftest(options: argparse.Namespace) -> int:
     return run(options)
 
 
-def _add_ramp(parser: argparse.ArgumentParser) -> None:
+def _add_ramp(parser: ArgumentParser) -> None:
     parser.set_defaults(files=False, source=False)
     parser.add_argument(
         "--slopes", type=FINITE, nargs="+", metavar="M", help="slopes, Nm/s (by the first ramp)"
@@ -53,7 +47,7 @@ def _add_ramp(parser: argparse.ArgumentParser) -> None:
     _add_measuring(parser)
 
 
-def _add_measuring(parser: argparse.ArgumentParser) -> None:
+def _add_measuring(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--repeats", type=whole_from(1, 1000), metavar="N", help="ramps of each slope"
     )
@@ -75,12 +69,12 @@ def _add_measuring(parser: argparse.ArgumentParser) -> None:
     _add_result(parser, "bag and report")
 
 
-def _add_line(parser: argparse.ArgumentParser) -> None:
+def _add_line(parser: ArgumentParser) -> None:
     parser.add_argument("--port", default="emulated", help="serial device, URL, 'emulated' (default), or with the "
                         "seed of its noise 'emulated:SEED'")  # fmt: skip
 
 
-def _add_result(parser: argparse.ArgumentParser, what: str) -> None:
+def _add_result(parser: ArgumentParser, what: str) -> None:
     about = f"new folder for {what} (%(default)s)"
     add_output(parser, new_folder, about, default="out/friction", metavar="FOLDER")
     parser.add_argument(
@@ -91,19 +85,19 @@ def _add_result(parser: argparse.ArgumentParser, what: str) -> None:
     add_robot_argument(parser)
 
 
-def _ramp(options: argparse.Namespace) -> int:
+def _ramp(options: Namespace) -> int:
     """Measure Coulomb and viscous friction with torque ramps; 1 where a load carries no estimate."""
     from friction_bench.experiment.job import run  # here, because --help must not wait for it
 
     return run(options)
 
 
-def _add_source(parser: argparse.ArgumentParser) -> None:
+def _add_source(parser: ArgumentParser) -> None:
     parser.set_defaults(files=False, source=True, slopes=None)
     _add_measuring(parser)
 
 
-def _source(options: argparse.Namespace) -> int:
+def _source(options: Namespace) -> int:
     """Repeat the source's experiment, on rig/source.yaml: no-load at its first slope, loaded at its second.
 
     The source's evaluation stands beside this one's.
@@ -111,7 +105,7 @@ def _source(options: argparse.Namespace) -> int:
     return _ramp(options)
 
 
-def _add_read(parser: argparse.ArgumentParser) -> None:
+def _add_read(parser: ArgumentParser) -> None:
     parser.set_defaults(**_NO_MEASURING, files=True, source=False)
     for option in ("--no-load-file", "--loaded-file"):
         parser.add_argument(
@@ -124,12 +118,12 @@ def _add_read(parser: argparse.ArgumentParser) -> None:
     _add_result(parser, "the report")
 
 
-def _read(options: argparse.Namespace) -> int:
+def _read(options: Namespace) -> int:
     """Read old ramps from files, and evaluate them as new ones are."""
     return _ramp(options)
 
 
-def _add_emulator(parser: argparse.ArgumentParser) -> None:
+def _add_emulator(parser: ArgumentParser) -> None:
     add_rig_argument(parser)
     parser.add_argument("--link", type=Path, help="symbolic link to make to the pseudo-terminal")
     parser.add_argument("--loaded", action="store_true", help="couple the revolute joint")
@@ -138,7 +132,7 @@ def _add_emulator(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _emulator(options: argparse.Namespace) -> None:
+def _emulator(options: Namespace) -> None:
     """Run an emulated friction rig, with the real firmware, behind a pseudo-terminal for any serial program."""
     stop = stop_request()
     from friction_bench.rig.emulated import EmulatedRig, PtyRig
@@ -166,7 +160,7 @@ _NO_MEASURING = {
 }
 """Options of a measurement, of which there is none where old ramps are read."""
 
-_VERBS = (
+SUBCOMMANDS = (
     (_add_ramp, _ramp, "measure friction with torque ramps"),
     (_add_source, _source, "repeat the source's experiment"),
     (_add_read, _read, "evaluate old ramps from files"),

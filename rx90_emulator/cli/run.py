@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import time
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, cast
 
+import rx90_emulator as rx
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import counted, one_line
 from rx90_emulator.cli.options import (
@@ -22,11 +23,9 @@ from rx90_emulator.cli.options import (
 
 if TYPE_CHECKING:
     from rx90_emulator.loop.line import LineRun
-    from rx90_emulator.loop.result import RunResult
-    from rx90_emulator.loop.setup import Setup
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("motion", nargs="?", metavar="MOTION",
                         help="task file of a line, path file, or JointTrajectory in YAML, yours or a shipped one such "
@@ -36,13 +35,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_run_arguments(parser)
 
 
-def add_initial_position(parser: argparse.ArgumentParser, default: str) -> None:
+def add_initial_position(parser: ArgumentParser, default: str) -> None:
     """Add the option of the joints' positions at time 0."""
     parser.add_argument("--initial-position", type=FINITE, nargs="+", metavar="RAD",
                         help=f"where each joint rests at time 0 ({default})")  # fmt: skip
 
 
-def add_run_arguments(parser: argparse.ArgumentParser) -> None:
+def add_run_arguments(parser: ArgumentParser) -> None:
     """Add the options of a run: what is written, the controller's feed-forward, the seed, the robot."""
     parser.set_defaults(interrupted="only what is named above was written whole")
     add_output(parser, new_folder, "bag folder to write; must not exist", metavar="FOLDER")
@@ -56,26 +55,23 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     add_robot_arguments(parser)
 
 
-def main(options: argparse.Namespace) -> None:
+def main(options: Namespace) -> None:
     """Run, show what came out, write what was asked for."""
     # Here, because --help must not wait for them.
     from rx90_common.base.share import resolve_config
-    from rx90_common.description.robot_files import RobotFiles
-    from rx90_controller.lines.task import SETTLING, LineTask, load_task
-    from rx90_emulator.loop import closed_loop
-    from rx90_emulator.loop.line import run_path
-    from rx90_emulator.loop.path_file import is_trajectory, load_motion, load_trajectory
+    from rx90_controller.lines.task import SETTLING
+    from rx90_emulator.loop.path_file import is_trajectory, load_motion
 
     setup = setup_of(options)
     start = options.initial_position
     check_count(start, setup)
     motion = None if options.motion is None else resolve_config(options.motion)
     if motion is not None and is_trajectory(motion):
-        points = load_trajectory(motion, setup.robot.joint_names)
+        points = rx.load_trajectory(motion, setup.robot.joint_names)
         start = points.position[0] if start is None else start
         duration = options.start_time + float(points.times[-1]) + SETTLING
         finish(
-            partial(closed_loop.simulate, setup, points, start, duration, options.start_time),
+            partial(rx.simulate, setup, points, start, duration, options.start_time),
             start,
             options,
         )
@@ -85,32 +81,28 @@ def main(options: argparse.Namespace) -> None:
             "--initial-position with a line or path, which begins at its start; accepted: a trajectory"
         )
     task = (
-        load_task(RobotFiles.of_options(options).required("task"))
+        rx.load_task(rx.RobotFiles.of_options(options).required("task"))
         if motion is None
         else load_motion(motion)
     )
     run = cast(
-        "LineRun", _timed(partial(run_path, setup, task, start_time=options.start_time), options)
+        "LineRun", _timed(partial(rx.run_path, setup, task, start_time=options.start_time), options)
     )
-    _show_path(run, oriented=not isinstance(task, LineTask))
+    _show_path(run, oriented=not isinstance(task, rx.LineTask))
     _write(run, options)
 
 
-def setup_of(options: argparse.Namespace) -> Setup:
+def setup_of(options: Namespace) -> rx.Setup:
     """Return the setup of the options, with the feed-forward that they leave on."""
-    from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.loop.parameters import with_parameters
-    from rx90_emulator.loop.setup import Setup
-
-    setup = Setup.load(RobotFiles.of_options(options), seed=options.seed or 0)
+    setup = rx.Setup.load(rx.RobotFiles.of_options(options), seed=options.seed or 0)
     if options.feed_forward == "none":
-        setup = with_parameters(setup, {"controller.feed_forward.*": False})
+        setup = rx.with_parameters(setup, {"controller.feed_forward.*": False})
     if options.feed_forward == "position":
-        setup = with_parameters(setup, {"controller.feed_forward.velocity": False})
+        setup = rx.with_parameters(setup, {"controller.feed_forward.velocity": False})
     return setup
 
 
-def check_count(position: Sequence[float] | None, setup: Setup) -> None:
+def check_count(position: Sequence[float] | None, setup: rx.Setup) -> None:
     """Refuse a position with more or fewer numbers than the arm has joints."""
     joints = len(setup.robot.joint_names)
     if position is not None and len(position) != joints:
@@ -119,17 +111,15 @@ def check_count(position: Sequence[float] | None, setup: Setup) -> None:
 
 
 def finish(
-    simulate: Callable[..., RunResult], start: Iterable[float], options: argparse.Namespace
+    simulate: Callable[..., rx.RunResult], start: Iterable[float], options: Namespace
 ) -> None:
     """Run a trajectory, show how well it was followed, write what was asked for."""
-    from rx90_emulator.loop.line import followed_accuracy
-
     print("begins at rest at", ", ".join(f"{angle:.6g}" for angle in start), "rad")
     result = _timed(simulate, options)
     slow = result.slow
     times = result.times
     print(
-        followed_accuracy(
+        rx.followed_accuracy(
             result.setup.robot, times, slow.joint_states[:, 0], times, slow.reference[:, 0]
         ).words
     )
@@ -139,7 +129,7 @@ def finish(
     _write(result, options)
 
 
-def _timed(simulate: Callable[..., RunResult], options: argparse.Namespace) -> RunResult:
+def _timed(simulate: Callable[..., rx.RunResult], options: Namespace) -> rx.RunResult:
     began = time.perf_counter()
     result = simulate(record_fast=not options.slow_only)
     simulated = result.times[-1] + result.setup.rates.position_period
@@ -157,13 +147,11 @@ def _show_path(run: LineRun, *, oriented: bool) -> None:
               f"orientation: {accuracy.worst_orientation * 1e3:.4f} mrad")  # fmt: skip
 
 
-def _write(result: RunResult, options: argparse.Namespace) -> None:
-    from rx90_emulator.loop.result import write_bag
-
+def _write(result: rx.RunResult, options: Namespace) -> None:
     if result.substeps > 1:
         print(f"plant steps in a tick: {result.substeps}")
     if result.saturated.any():
         print(f"motors at their limit, ticks: {result.saturated.tolist()}")
     if options.output is not None:
-        write_bag(result, options.output)
+        rx.write_bag(result, options.output)
         print(one_line(f"bag: {options.output}"))

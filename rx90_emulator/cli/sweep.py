@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import argparse
 import time
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+import rx90_emulator as rx
 from rx90_common.base.errors import FailureError
 from rx90_common.base.quoting import counted, one_line, plain
 from rx90_emulator.cli.options import (
     add_output,
     add_robot_argument,
-    add_verbs,
     place,
     whole_number,
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the verbs and their options."""
-    add_verbs(parser, _VERBS)
-
-
-def _add_run(run: argparse.ArgumentParser) -> None:
+def _add_run(run: ArgumentParser) -> None:
     run.add_argument("plan", metavar="PLAN", help="plan file of your own (docs/howto/sweep.md), or the name of a "
                      "shipped one: sweep/friction_and_feed_forward.yaml, sweep/payload_and_speed.yaml, "
                      "sweep/reference_1000.yaml")  # fmt: skip
@@ -43,18 +38,13 @@ def _workers(text: str) -> float | str:
     return text if "://" in text else whole_number(text)
 
 
-def _run(options: argparse.Namespace) -> None:
+def _run(options: Namespace) -> None:
     """Run a plan of closed-loop runs."""
-    from rx90_emulator.sweep.execution import run_sweep
-    from rx90_emulator.sweep.plan import load_sweep_plan
-    from rx90_emulator.sweep.store import read_sweep
-    from rx90_emulator.sweep.sweep import Sweep
-
     if options.robot is not None:
         options.interrupted += " --robot {robot}"
-    sweep = Sweep(load_sweep_plan(options.plan, robot=options.robot))
+    sweep = rx.Sweep(rx.load_sweep_plan(options.plan, robot=options.robot))
     began = time.perf_counter()
-    counts = run_sweep(
+    counts = rx.run_sweep(
         sweep,
         options.output,
         workers=options.workers if isinstance(options.workers, int) else None,
@@ -72,24 +62,24 @@ def _run(options: argparse.Namespace) -> None:
         print(one_line(f"{done}{why}; {options.output}"))
     # perhaps not one run of the file has results, also of calls before
     if counts.failed == counts.computed:
-        errors = read_sweep(options.output)["error"]
+        errors = rx.read_sweep(options.output)["error"]
         if errors.null_count == 0:
             more = f"rx90 sweep info {plain(options.output)} says more"
             raise FailureError(f"every run failed, for example: {errors[0].as_py()}; {more}")
 
 
-def _add_info(info: argparse.ArgumentParser) -> None:
+def _add_info(info: ArgumentParser) -> None:
     info.add_argument("file", type=Path, metavar="FILE", help="Parquet file, finished or not")
 
 
-def _info(options: argparse.Namespace) -> None:
+def _info(options: Namespace) -> None:
     """Show what a file of results holds."""
     from rx90_emulator.sweep.store import describe_results
 
     print("\n".join(describe_results(options.file)))
 
 
-_VERBS = (
+SUBCOMMANDS = (
     (_add_run, _run, "run a plan"),
     (_add_info, _info, "show what a file of results holds"),
 )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import threading
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 from contextlib import ExitStack
 
+import rx90_emulator as rx
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_common.process.threads import be_nicer
 from rx90_emulator.cli.options import (
@@ -20,7 +21,7 @@ _NICENESS = 10
 _TIMEOUT = 5.0  # s for the answer of a node
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Add the command's options."""
     live = parser.add_argument_group("running nodes")
     add_node(live)
@@ -46,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_robot_arguments(parser, "urdf", "tool", "drives", "friction", "controller", "task")
 
 
-def main(options: argparse.Namespace) -> None:
+def main(options: Namespace) -> None:
     """Show the page until Ctrl-C.
 
     Raises:
@@ -62,7 +63,7 @@ def main(options: argparse.Namespace) -> None:
             raise
 
 
-def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> None:
+def _show_nodes(options: Namespace, started: Callable[[], None]) -> None:
     """Show running nodes; `started` is called when the page runs, with nodes of its own when their arm is seen."""
     from rx90_common.exchange.ros_start import prepare
 
@@ -70,9 +71,7 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
         stay_on_this_machine()
     prepare()
     from rx90_common.exchange.client_node import client_node
-    from rx90_emulator.loop.line import plan_path
     from rx90_emulator.loop.path_file import load_motion
-    from rx90_emulator.loop.setup import Setup
     from rx90_emulator.view.live import LiveView
     from rx90_emulator.view.page import Page
     from rx90_emulator.view.panel import ControlPanel
@@ -80,10 +79,10 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
 
     files = RobotFiles.of_options(options)
     controller = options.node
-    setup = Setup.load(files)
+    setup = rx.Setup.load(files)
     plan = None
     if options.demo or files.task is not None:
-        plan = plan_path(setup, load_motion(files.required("task")))
+        plan = rx.plan_path(setup, load_motion(files.required("task")))
     line = None if plan is None else plan.task  # as slow as the joints require
     tour = (
         Tour(options.robot or DEFAULT_ROBOT, setup, plan, controller)

@@ -14,7 +14,7 @@ from rx90_common.description.robot_files import FILES, NO_TOOL, RobotFiles
 from rx90_common.friction.signs import SIGNS
 from rx90_controller.law.model import ROLES, ModelFiles
 from rx90_controller.law.parameters import load_controller
-from rx90_emulator.configuration.kinds import KINDS
+from rx90_emulator.configuration.check import KINDS
 
 OF_CODE = "default of the code"
 ASSUMED = "assumed"

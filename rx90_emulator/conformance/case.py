@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, interpolated
 from rx90_controller.lines.task import LineTask
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
@@ -147,7 +147,4 @@ class Record:
         points = self.case.set_points[:, 0]
         rates = self.case.setup.rates
         at = np.arange(len(points)) * rates.position_period
-        return (
-            np.column_stack([np.interp(self.times, at, joint) for joint in points.T])
-            - self.position
-        )
+        return interpolated(self.times, at, points) - self.position

@@ -8,13 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from bokeh.plotting import figure
+
 from rx90_common.description.robot_files import provenance_of
+from rx90_common.report.charts import chart
 from rx90_common.report.page import render_page
+from rx90_common.report.style import COLOURS
 from rx90_emulator.conformance.battery import CASES, Nominal, run_cs7b
 from rx90_emulator.conformance.bench import Candidate, run_on_topics
 from rx90_emulator.conformance.case import Record
 from rx90_emulator.conformance.metrics import TORQUE_OFF
-from rx90_emulator.conformance.plots import errors
 from rx90_emulator.loop.setup import Setup
 
 
@@ -109,7 +112,7 @@ class CheckResult:
     def page(self) -> str:
         """Return the report."""
         provenance = provenance_of(self.nominal.files)
-        plots = [errors(case.record, case.cs7b) for case in self.cases]
+        plots = [_errors(case.record, case.cs7b) for case in self.cases]
         return render_page(
             "rx90_emulator.conformance",
             "check.html.j2",
@@ -148,3 +151,17 @@ def check_controller(
     return CheckResult(
         " ".join(candidate.command) or f"the node {candidate.node}", nominal, results
     )
+
+
+_MRAD = 1e3
+
+
+def _errors(record: Record, cs7b: Record) -> list[figure]:
+    """Show the error of each joint over the time, with a controller and with the CS7B."""
+    figures = []
+    for j, name in enumerate(record.case.setup.robot.joint_names):
+        shown = chart(name, "time, s", "error, mrad", height=130)
+        shown.line(record.times, _MRAD * record.error[:, j], name="controller", color=COLOURS[1])
+        shown.line(cs7b.times, _MRAD * cs7b.error[:, j], name="CS7B", color=COLOURS[0])
+        figures.append(shown)
+    return figures

@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, rms
 from rx90_common.base.errors import (
     ConfigError,
     DivergenceError,
@@ -224,7 +224,7 @@ class Learner:
         distance = self.distance(measured)
         worst = float(distance.max())
         kept = worst <= self._least + self.noise
-        trial = TrialRecord(worst, math.sqrt(float(np.mean(distance**2))), kept, self._gain)
+        trial = TrialRecord(worst, rms(distance), kept, self._gain)
         self.trials.append(trial)
         if kept:
             self._least = min(self._least, worst)

@@ -32,17 +32,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import pinocchio as pin
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.kinematics import jacobian
-from rx90_emulator.correction.linearise import SPACING, linearise
 from rx90_emulator.correction.path import TrajectoryPath
 from rx90_emulator.loop.setup import Setup
 
+SPACING = 0.01
+"""From one point of the linearisation to the next, s."""
 LEAD_IN = 0.3
 """Time before the path from which errors count, s, gradually: so the error at rest is corrected when the path
 begins."""
@@ -52,6 +54,46 @@ _LARGEST_EFFORT = 1e3  # m/rad
 Update: TypeAlias = Callable[[Array, Array, float], Array]
 """Returns the next offsets for offsets, rad, (n, joints), their error, and a share of the gain. The error is that of
 the joints by the encoders, rad, (n, joints), or that of the tip, m, (n, 3)."""
+
+
+class Linearisation(NamedTuple):
+    """Derivatives of the inverse dynamics M a + h along a motion; h holds Coriolis, centrifugal and gravity torques.
+
+    Attributes:
+        mass: M0 = M(q0), rotors included, kg m^2, shape (n, joints, joints).
+        damping: C0 = dh/dv, Nm s/rad, shape (n, joints, joints).
+        stiffness: K0 = d(M a0 + h)/dq, gravity and spring included, Nm/rad, shape (n, joints, joints).
+    """
+
+    mass: Array
+    damping: Array
+    stiffness: Array
+
+
+def linearise(setup: Setup, setpoints: Array) -> Linearisation:
+    """Return M0, C0 and K0 at n points of a motion.
+
+    Args:
+        setup: the arm.
+        setpoints: position rad, velocity rad/s, acceleration rad/s^2, shape (n, 3, joints).
+    """
+    model = setup.robot.model
+    data = model.createData()
+    count, _, joints = setpoints.shape
+    mass = np.empty((count, joints, joints))
+    damping = np.empty_like(mass)
+    stiffness = np.empty_like(mass)
+    for n, state in enumerate(setpoints):
+        by_position, by_velocity, by_acceleration = pin.computeRNEADerivatives(model, data, *state)
+        upper = np.triu(by_acceleration)
+        mass[n] = upper + np.triu(upper, 1).T
+        damping[n] = by_velocity
+        stiffness[n] = by_position
+    # The rotors' inertia is the same in every pose, so it adds to M0 alone; the spring gives k cos(q) to K0.
+    mass += setup.drives.rotor_matrix
+    diagonal = np.arange(joints)
+    stiffness[:, diagonal, diagonal] += setup.drives.spring_torque * np.cos(setpoints[:, 0])
+    return Linearisation(mass, damping, stiffness)
 
 
 @dataclass(frozen=True)
@@ -111,12 +153,10 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
         setpoints: of the nominal motion, shape (m, 3, n).
     """
     controller = setup.controller
+    servo = controller.servo
     period = setup.rates.position_period
     stride = max(1, round(SPACING / period))
-    at = slice(None, None, stride)
-    linear = linearise(
-        setup.robot, setup.drives, setpoints[at, 0], setpoints[at, 1], setpoints[at, 2]
-    )
+    linear = linearise(setup, setpoints[::stride])
     turns = setup.drives.turning.turns
     elements = setup.drives.turning.element_matrix
     joints = setpoints.shape[2]
@@ -126,9 +166,9 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
         2.0 * math.pi
     )
     lag += 0.5 * setup.rates.period
-    proportional = np.diag(controller.inertia * (controller.kv * controller.kp)) @ turns
-    derivative = np.diag(controller.inertia * controller.kv) @ turns
-    integral = np.diag(controller.inertia * controller.ki) @ turns
+    proportional = np.diag(controller.inertia * np.multiply(servo.kv, servo.kp)) @ turns
+    derivative = np.diag(controller.inertia * servo.kv) @ turns
+    integral = np.diag(controller.inertia * servo.ki) @ turns
     inverse = np.linalg.inv(linear.mass)
     q, v, i, tau, c = (slice(k, k + joints) for k in range(0, 5 * joints, joints))
     one = np.eye(joints)

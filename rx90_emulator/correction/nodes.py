@@ -15,6 +15,7 @@ import numpy as np
 
 from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ProcessGroup, executable
+from rx90_controller.lines.plan import APPROACH_ACCELERATION, APPROACH_SPEED
 from rx90_controller.node.trajectory_client import TrajectoryClient
 from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.motion import Motion
@@ -22,9 +23,6 @@ from rx90_emulator.correction.learning import Learner, Measured
 from rx90_emulator.correction.recorded import CORRECTION, REFERENCE, TRACKING, measured
 from rx90_emulator.identification.experiments.nodes import follow_trajectory
 
-# share of the joints' speeds; rad/s^2: as rx90 line's
-_APPROACH_SPEED = 0.25
-_APPROACH_ACCELERATION = 2.0
 # s at the start of the path: the integrators take some 0.1 s, then the arm is at rest
 _REST_S = 0.5
 _GRACE = 20.0  # s for a recorder to write its messages
@@ -71,7 +69,7 @@ def node_trials(
         def approach() -> None:
             motion = Motion(np.asarray(set_points.position))
             motion.move(
-                points.position[0], robot.max_velocity * _APPROACH_SPEED, _APPROACH_ACCELERATION
+                points.position[0], robot.max_velocity * APPROACH_SPEED, APPROACH_ACCELERATION
             )
             if motion.duration > 0.0:
                 motion.rest(_REST_S)

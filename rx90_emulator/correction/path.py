@@ -4,36 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.kinematics import forward, polyline_error
+from rx90_controller.lines.plan import LinePlan
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 
 _AT_REST_STEP = 1e-9  # m from one set-point to the next, up to which the tip is at rest
-
-
-class CorrectablePath(Protocol):
-    """A motion that a correction is learned for; a planned line (LinePlan) is one."""
-
-    @property
-    def points(self) -> TrajectoryPoints:
-        """Return the trajectory, from its first point on; it begins and ends at rest."""
-
-    @property
-    def counted(self) -> tuple[float, float]:
-        """Return begin and end of the time in which the path error counts, s from the trajectory's start."""
-
-    def distance(self, tip: Array, times: Array | None = None) -> Array:
-        """Return the distance of the tip's positions, m, shape (n, 3), from the path, m, shape (n,).
-
-        With their `times`, s from the trajectory's start, a path that crosses itself or ends where it began is
-        searched only around where the tip should be.
-        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,3 +98,7 @@ class TrajectoryPath:
             rows = np.rint(times / self.period).astype(np.int64) - int(np.argmax(self.counts))
             near = (np.cumsum(self._moves) - 1)[np.clip(rows, 0, len(self._moves) - 1)]
         return polyline_error(tip, self._corners, near).perpendicular
+
+
+CorrectablePath: TypeAlias = LinePlan | TrajectoryPath
+"""A motion that a correction is learned for."""

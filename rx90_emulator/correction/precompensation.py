@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction, PlayedCorrection
@@ -42,7 +41,15 @@ def corrected_trajectory(
     count = len(nominal.setpoints)
     period = nominal.period
     played = PlayedCorrection.started(correction, 0).at(np.arange(count))
-    offset = _smoothed(played, cutoff, period)
+    if not cutoff < 0.5 / period:
+        raise ConfigError(
+            f"cutoff is {cutoff:g} Hz; accepted: below {0.5 / period:g} Hz, half the rate of set-points"
+        )
+    from scipy.signal import butter, sosfiltfilt  # takes a while
+
+    # forwards and backwards, extended by the last value
+    sections = butter(_ORDER, cutoff, fs=1.0 / period, output="sos")
+    offset = sosfiltfilt(sections, played, axis=0, padtype="constant")
     offset -= offset[0] * np.linspace(1.0, 0.0, count)[:, None]  # it begins where the path does
     velocity = np.gradient(offset, period, axis=0)
     acceleration = np.gradient(velocity, period, axis=0)
@@ -55,18 +62,6 @@ def corrected_trajectory(
     return TrajectoryPoints.create(
         names, names, times, *(motion[rows, k].tolist() for k in range(3))
     )
-
-
-def _smoothed(rows: Array, cutoff: float, period: float) -> Array:
-    """Return rows behind a low-pass filter, run forwards and backwards, which extends them by their last value."""
-    if not cutoff < 0.5 / period:
-        raise ConfigError(
-            f"cutoff is {cutoff:g} Hz; accepted: below {0.5 / period:g} Hz, half the rate of set-points"
-        )
-    from scipy.signal import butter, sosfiltfilt  # takes a while
-
-    sections = butter(_ORDER, cutoff, fs=1.0 / period, output="sos")
-    return np.asarray(sosfiltfilt(sections, rows, axis=0, padtype="constant"))
 
 
 def travelled_error(setup: Setup, path: CorrectablePath, points: TrajectoryPoints) -> float:

@@ -16,7 +16,7 @@ from scipy.signal import fftconvolve
 
 from rx90_common.bags.comparison import align
 from rx90_common.bags.reading import read_joint_states
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, interpolated, rms
 from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.quoting import counted, plain
 from rx90_emulator.correction.file import CorrectionFile
@@ -74,7 +74,7 @@ def laid_under(
             f"{what}: {times[-1] - times[0]:.6g} s; accepted: up to {_MAX_ROWS * period:g} s"
         )
     grid = times[0] + np.arange(-count, round((times[-1] - times[0]) / period) + count) * period
-    record = np.column_stack([np.interp(grid, times, column) for column in values.T])
+    record = interpolated(grid, times, values)
     middle = nominal.mean(axis=0)
     record = record - middle
     motion = nominal - middle
@@ -104,10 +104,8 @@ def laid_under(
             f"{what}: nothing for {inside[gap]:.3g} s from {times[gap]:.6g} s on, within the path; "
             "accepted: a record without gaps"
         )
-    found = np.column_stack([np.interp(rows, times, column) for column in values.T])
-    difference = float(
-        np.sqrt(np.mean((found - nominal)[counts] ** 2)) / max(np.ptp(nominal, axis=0).max(), 1e-12)
-    )
+    found = interpolated(rows, times, values)
+    difference = float(rms((found - nominal)[counts]) / max(np.ptp(nominal, axis=0).max(), 1e-12))
     if difference > _MAX_DIFFERENCE:
         raise ConfigError(
             f"{what}: {difference:.1%} of the motion's range away from the path where they fit best, at {shift:.6g} s; "

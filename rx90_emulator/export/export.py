@@ -12,11 +12,11 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
-from rx90_common.base.errors import ConfigError, check_type, write_error
+from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.base.quoting import aligned, listed, plain, quoted
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.part import LINEAR_SPEED
-from rx90_common.process.files import atomic_files
+from rx90_common.process.files import made_folder, write_all
 from rx90_emulator.export.files import files_of
 from rx90_emulator.export.fit import FrictionFit, fit_friction, speeds_up_to
 from rx90_emulator.export.targets import TARGETS, Target
@@ -303,11 +303,6 @@ def write_export(export: Export, folder: Path | str) -> None:
     folder = Path(folder)
     if folder.exists():
         raise ConfigError(f"{plain(folder)} exists; accepted: a new name")
-    try:
-        folder.absolute().parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise write_error(folder, error) from error
-    with atomic_files(folder) as (place,):
-        place.mkdir()
-        for name, text in {**export.files, REPORT: export.report()}.items():
-            (place / name).write_text(text, encoding="utf-8")
+    texts = {**export.files, REPORT: export.report()}
+    with made_folder(folder):
+        write_all({folder / name: text.encode() for name, text in texts.items()})

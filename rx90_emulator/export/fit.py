@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, rms
 from rx90_common.base.errors import ConfigError
 from rx90_common.friction.element import FrictionElement, stribeck_decay
 from rx90_common.friction.parts.part import LINEAR_SPEED
@@ -55,7 +55,7 @@ class SimulatorLaw:
         """Return the torque of steady motion at speeds above 0, rad/s, in Nm."""
         a, b, c = self.viscous
         decay = stribeck_decay(speed, self.omega_s, self.delta) if self.omega_s > 0.0 else 0.0
-        return np.asarray(
+        return (
             self.tau_c + (self.tau_s - self.tau_c) * decay + speed * (a + speed * (b + speed * c))
         )
 
@@ -126,7 +126,7 @@ def fit_friction(
         law,
         speeds,
         largest,
-        float(np.sqrt(np.mean(difference**2))),
+        rms(difference),
         (static, (law.tau_s, law.tau_s)),
         (sum(one.c0 for one in elements), law.c0),
         tuple(each for one in elements for each in _lost(target, one, float(speeds.max()))),

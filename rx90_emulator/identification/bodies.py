@@ -350,6 +350,7 @@ class ConsistentInertias(NamedTuple):
         base: their base parameters, shape (p,).
         shift: base parameters less the identified ones, shape (p,).
         distance: length of the shift in standard deviations, RMS: at most about 1 within the noise.
+        shares: RMS residual over RMS torque, all joints together: with the base parameters, with these.
     """
 
     prior: InertialPrior
@@ -359,6 +360,29 @@ class ConsistentInertias(NamedTuple):
     base: Array
     shift: Array
     distance: float
+    shares: tuple[float, ...] = (math.nan, math.nan)
+
+    @property
+    def text(self) -> str:
+        """Return in words how far the bodies are from the base parameters, and what that costs."""
+        before, after = self.shares
+        return (
+            f"bodies in the files: {self.distance:.2g} standard deviations from the base parameters (RMS; up "
+            f"to about 1 is noise); torque RMS in the low-pass of the fit {after:.1%} with them, {before:.1%} without"
+        )
+
+    @property
+    def warning(self) -> str:
+        """Return a warning if the bodies are far from the base parameters, else ""."""
+        if self.distance <= FAR:
+            return ""
+        before, after = self.shares
+        return (
+            f"the bodies in the files are {self.distance:.3g} standard deviations from the base parameters "
+            f"(RMS; up to {FAR:g} passes): torque RMS {after:.1%} in place of {before:.1%}. No bodies near the "
+            "description have these: is a known tool, a payload, a zero or the sign of a torque another one, or do "
+            "the torques hold no rotors (--no-rotors)?"
+        )
 
 
 class _Bodies:
@@ -495,43 +519,9 @@ def consistent_inertias(
     )
 
 
-class Consistency(NamedTuple):
-    """Possible inertias, and their cost.
-
-    Attributes:
-        inertias: nearest to the identified base parameters.
-        shares: RMS residual over RMS torque, all joints together: with the base parameters, with the inertias.
-    """
-
-    inertias: ConsistentInertias
-    shares: tuple[float, float]
-
-    @property
-    def text(self) -> str:
-        """Return in words how far the bodies are from the base parameters, and what that costs."""
-        before, after = self.shares
-        return (
-            f"bodies in the files: {self.inertias.distance:.2g} standard deviations from the base parameters (RMS; up "
-            f"to about 1 is noise); torque RMS in the low-pass of the fit {after:.1%} with them, {before:.1%} without"
-        )
-
-    @property
-    def warning(self) -> str:
-        """Return a warning if the bodies are far from the base parameters, else ""."""
-        if self.inertias.distance <= FAR:
-            return ""
-        before, after = self.shares
-        return (
-            f"the bodies in the files are {self.inertias.distance:.3g} standard deviations from the base parameters "
-            f"(RMS; up to {FAR:g} passes): torque RMS {after:.1%} in place of {before:.1%}. No bodies near the "
-            "description have these: is a known tool, a payload, a zero or the sign of a torque another one, or do "
-            "the torques hold no rotors (--no-rotors)?"
-        )
-
-
 def make_consistent(
     problem: ExcitationProblem, fitted: FittedArm, robot: RecordedRobot, options: RobotOptions
-) -> Consistency:
+) -> ConsistentInertias:
     """Return the consistent inertias nearest to the base parameters of a fit.
 
     Args:
@@ -558,14 +548,14 @@ def make_consistent(
     before = fitted.fit.residual
     after = before - problem.regressor @ inertias.shift
     shares = np.linalg.norm([before, after], axis=1) / np.linalg.norm(problem.torque)
-    return Consistency(inertias, (float(shares[0]), float(shares[1])))
+    return inertias._replace(shares=tuple(shares.tolist()))
 
 
-def written_arm(problem: ExcitationProblem, consistency: Consistency) -> RigidArm:
+def written_arm(problem: ExcitationProblem, consistency: ConsistentInertias) -> RigidArm:
     """Return the arm that the files describe, with the offsets of its torques."""
     arm = problem.arm
     columns = problem.columns
-    values = consistency.inertias.parameters
+    values = consistency.parameters
     n = len(arm.names)
     spring = arm.spring.copy()
     spring[columns.springs] = values[11 * n : 11 * n + len(columns.springs)]

@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.arrays import Array, Mask, rms
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import quoted
 from rx90_common.estimation.law import Law, Part
@@ -122,12 +122,12 @@ class FrictionCurve:
     @property
     def rms(self) -> float:
         """Return the RMS residual torque, Nm."""
-        return float(np.sqrt(np.mean((self.torque - self.fitted) ** 2)))
+        return rms(self.torque - self.fitted)
 
     @property
     def share(self) -> float:
         """Return the residual torque over the friction torque, RMS; NaN without friction."""
-        friction = float(np.sqrt(np.mean(self.torque**2)))
+        friction = rms(self.torque)
         return self.rms / friction if friction > 0.0 else math.nan
 
     @property

@@ -9,7 +9,7 @@ torque = rx.predict_torque("friction.yaml", time, position, robot=rx.RobotOption
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -37,6 +37,7 @@ from rx90_emulator.identification.options import (
     RECORDED,
     SHIPPED_ROBOT,
     GivenTolerances,
+    Progress,
     RobotOptions,
     ValidationTolerances,
 )
@@ -73,7 +74,7 @@ def identify_excitation(
     model: Sequence[str] | None = None,
     rotors: bool = True,
     bandwidth: float | None = None,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Progress = lambda _: None,
 ) -> ExcitationIdentification:
     """Identify the dynamics of an arm from runs in which all joints move, without plateaus of constant velocity.
 
@@ -101,18 +102,16 @@ def identify_excitation(
         BagError: for a bag that cannot be read.
         ConfigError: for a file of the robot that cannot be used.
     """
-    by_use = {
-        "excitation": [Path(bag) for bag in bags],
-        "validation": [Path(bag) for bag in validation],
-    }
-    everything = [*by_use["excitation"], *by_use["validation"]]
-    if not by_use["excitation"]:
+    if not bags:
         raise IdentificationError("no excitation run; accepted: bags of such runs, or their folder")
-    check_given_once(by_use)
     parts = TRIED if model is None else model_parts(model)
-    _check_rotors(robot, rotors=rotors)
-    source = RecordedRobot.load(robot, everything, massless=True, follow=True)
-    records = read_records(by_use, source, progress, currents=True)
+    # Torques of the drives accelerate the rotors.
+    if not rotors and (robot.urdf is None or robot.rotor_inertia is not None):
+        given = "without --urdf" if robot.urdf is None else "with --rotor-inertia"
+        raise IdentificationError(
+            f"--no-rotors {given}; accepted: with --urdf, for torques measured behind the gears"
+        )
+    source, records = _recorded(robot, bags, validation, progress, currents=True)
     progress("filters and equations")
     bandwidths = Bandwidths.of(records["excitation"], bandwidth)
     problem = recorded_equations(records["excitation"], source, bandwidths, rotors=rotors)
@@ -120,8 +119,12 @@ def identify_excitation(
         *recording_notes(records["excitation"], bandwidths),
         *log_warnings(problem, source.held),
     )
-    given = replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source))
-    sanity = alarms(source.arm, Recorded.of(records["excitation"], source.arm), given, source.zero)
+    stated_gears = replace(
+        source.options, gear=_gears(source.layout(Path(bags[0]), fast=True), source)
+    )
+    sanity = alarms(
+        source.arm, Recorded.of(records["excitation"], source.arm), stated_gears, source.zero
+    )
     progress("friction")
     fitted = fit_arm(problem, parts, fixed=model is not None)
     used = tuple(record.bag for record in records["excitation"])
@@ -159,6 +162,25 @@ def identify_excitation(
         progress(record.source.name)
         checks.append(_validation(result, arm, simplest, record, limits))
     return replace(result, validations=tuple(checks))
+
+
+def _recorded(
+    robot: RobotOptions,
+    bags: Sequence[Path | str],
+    validation: Sequence[Path | str] = (),
+    progress: Progress = lambda _: None,
+    *,
+    currents: bool = False,
+) -> tuple[RecordedRobot, dict[str, list[JointRecord]]]:
+    """Return the robot of excitation runs and of those for the validation, and their records by use."""
+    by_use = {
+        "excitation": [Path(bag) for bag in bags],
+        "validation": [Path(bag) for bag in validation],
+    }
+    check_given_once(by_use)
+    logs = [*by_use["excitation"], *by_use["validation"]]
+    source = RecordedRobot.load(robot, logs, massless=True, follow=True)
+    return source, read_records(by_use, source, progress, currents=currents)
 
 
 def _validation(
@@ -209,15 +231,6 @@ def log_warnings(problem: ExcitationProblem, held: Sequence[str] = ()) -> list[s
         )
         warnings.append(text)
     return warnings
-
-
-def _check_rotors(robot: RobotOptions, *, rotors: bool) -> None:
-    """Refuse a model without rotors if the drives' torques accelerate them."""
-    if not rotors and (robot.urdf is None or robot.rotor_inertia is not None):
-        given = "without --urdf" if robot.urdf is None else "with --rotor-inertia"
-        raise IdentificationError(
-            f"--no-rotors {given}; accepted: with --urdf, for torques measured behind the gears"
-        )
 
 
 def _gears(layout: BagLayout, robot: RecordedRobot) -> Sequence[float] | None:
@@ -298,12 +311,10 @@ def excitation_problem(
         IdentificationError: for runs that do not belong to the robot or in which no joint moves.
         BagError: for a bag that cannot be read.
     """
-    paths = {"excitation": [Path(bag) for bag in bags], "validation": []}
     if not bags:
         raise IdentificationError("no excitation run; accepted: one or more")
-    check_given_once(paths)
-    source = RecordedRobot.load(robot, paths["excitation"], massless=True, follow=True)
-    records = read_records(paths, source, lambda _: None)["excitation"]
+    source, by_use = _recorded(robot, bags)
+    records = by_use["excitation"]
     return recorded_equations(records, source, bandwidths or Bandwidths.of(records))
 
 

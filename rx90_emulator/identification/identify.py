@@ -6,7 +6,7 @@ Records -> sliding regime -> presliding regime -> result -> validation.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,6 +37,7 @@ from rx90_emulator.identification.options import (
     NO_TOLERANCES,
     SHIPPED_ROBOT,
     GivenTolerances,
+    Progress,
     RobotOptions,
 )
 from rx90_emulator.identification.presliding import PreslidingFit, identify_presliding
@@ -66,7 +67,7 @@ def identify_friction(
     bags: IdentificationBags | Path | str,
     robot: RobotOptions = SHIPPED_ROBOT,
     tolerances: GivenTolerances = NO_TOLERANCES,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Progress = lambda _: None,
 ) -> FrictionIdentification:
     """Identify the friction of a robot from recorded bags (section 4 of Aarts, Jonker and Waiboer).
 
@@ -114,7 +115,7 @@ def check_friction(
     bags: Sequence[Path | str],
     robot: RobotOptions = SHIPPED_ROBOT,
     tolerances: GivenTolerances = NO_TOLERANCES,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Progress = lambda _: None,
 ) -> tuple[Validation, ...]:
     """Compare the torques that a friction file predicts along recorded motions with the recorded ones.
 
@@ -233,7 +234,7 @@ def check_given_once(bags: Mapping[str, Sequence[Path]]) -> None:
 def read_records(
     bags: Mapping[str, Sequence[Path]],
     robot: RecordedRobot,
-    progress: Callable[[str], None],
+    progress: Progress,
     *,
     currents: bool = False,
 ) -> dict[str, list[JointRecord]]:
@@ -312,7 +313,7 @@ def identify_records(
     sliding: Sequence[JointRecord],
     presliding: Sequence[JointRecord],
     robot: RecordedRobot,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Progress = lambda _: None,
 ) -> FrictionIdentification:
     """Identify the friction of all elements of an arm from records.
 

@@ -1,9 +1,9 @@
-"""What `rx90 identify` does once its options have been checked: slow to import."""
+"""The files of an identification, and the line of progress while one runs: slow to import."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -11,21 +11,16 @@ from tqdm import tqdm
 
 from rx90_common.base.errors import IdentificationError, check_place, check_replaced
 from rx90_common.description.robot_files import FILES
-from rx90_common.process.files import made_folder, write_all, write_text
-from rx90_emulator.identification.identify import check_friction
-from rx90_emulator.identification.options import GivenTolerances, RobotOptions
+from rx90_common.process.files import made_folder, write_all
 from rx90_emulator.identification.output.friction_file import sweeps_text
-from rx90_emulator.identification.output.report import check_page, identification_page
+from rx90_emulator.identification.output.report import identification_page
 from rx90_emulator.identification.output.robot_files import (
-    folder_base,
     parameters_text,
     robot_files,
 )
-from rx90_emulator.identification.output.summary import check_summary, identification_summary
 from rx90_emulator.identification.result import (
     ExcitationIdentification,
     FrictionIdentification,
-    objection,
 )
 
 REPORT = "report.html"
@@ -113,62 +108,3 @@ def write_identification(
     with made_folder(output):
         write_all({file: text.encode() for file, text in texts.items()})
     return tuple(texts)
-
-
-def run_identification(
-    identify: Callable[[Callable[[str], None]], FrictionIdentification | ExcitationIdentification],
-    output: Path,
-    *,
-    folder: bool,
-    force: bool = False,
-) -> str:
-    """Identify with a progress line, write the files, print a summary, and return what speaks against the result.
-
-    Args:
-        identify: called with a callback for the name of each step.
-        output: as in `write_identification`; checked first.
-        folder: whether it is a folder.
-        force: whether files that exist are replaced.
-    """
-    identification_targets(output, folder=folder, force=force)
-    with steps() as step:
-        result = identify(step)
-    files = write_identification(result, output, force=force)
-    print(identification_summary(result))
-    print(f"files: {', '.join(sorted(map(str, files)))}")
-    if isinstance(result, ExcitationIdentification) and result.robot.setup is None:
-        print(f"{output}: {folder_base(result.arm, Path(str(result.robot.options.urdf)))[1]}")
-    return objection(result.validations, result.alarms)
-
-
-def run_check(
-    friction: str,
-    bags: Sequence[Path],
-    robot: RobotOptions,
-    tolerances: GivenTolerances,
-    report: Path | None = None,
-    *,
-    force: bool = False,
-) -> str:
-    """Compare a friction file with bags, write the report if requested, and return what speaks against the file.
-
-    The arguments are those of `check_friction`; the report's place is checked first.
-    """
-    check_targets(report, force=force)
-    with steps() as step:
-        checks = check_friction(friction, bags, robot, tolerances, step)
-    lines = [check_summary(checks)]
-    against = objection(checks)
-    beside = Path(friction).with_name(FILES["urdf"])
-    if (
-        against
-        and robot.urdf
-        and beside.is_file()
-        and beside.read_bytes() != Path(robot.urdf).read_bytes()
-    ):
-        lines.append(f"hint: {beside} stands beside {friction}, and is not what --urdf gave")
-    if report is not None:
-        write_text(report, check_page(checks, friction))
-        lines.append(f"report: {report}")
-    print("\n".join(lines))
-    return against

@@ -6,7 +6,7 @@ They are declared once, for checks and for --help, so this module imports nothin
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -107,6 +107,21 @@ class ValidationTolerances(Tolerances):
     total: float = 0.1
 
 
+@dataclass(frozen=True)
+class MeasuredTolerances(Tolerances):
+    """Limits for agreement of a simulated run with a measured one.
+
+    Attributes:
+        torque: RMS difference of a joint's torque over its RMS measured torque.
+        total_torque: the same for all joints together.
+        position: largest difference of a joint's position, rad.
+    """
+
+    torque: float = 0.25
+    total_torque: float = 0.1
+    position: float = 5e-3
+
+
 EMULATED = ValidationTolerances()
 """Limits for bags with set-points of this project's controller, along which the closed loop is run, too."""
 
@@ -118,3 +133,5 @@ RECORDED = ValidationTolerances(torque=0.3, worst_torque=math.inf)
 GivenTolerances: TypeAlias = Mapping[str, float]
 """Limits by the names of the attributes; the others are those of EMULATED or RECORDED."""
 NO_TOLERANCES: GivenTolerances = MappingProxyType({})
+Progress: TypeAlias = Callable[[str], None]
+"""Called with the name of each step before it."""

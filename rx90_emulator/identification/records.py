@@ -24,7 +24,7 @@ from scipy.signal import butter, sosfiltfilt
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.topics import FIELDS
-from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.arrays import Array, Index, Mask, interpolated
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
@@ -284,9 +284,7 @@ def read_record(
     content = Content.of(fields["position"], fields["effort"])
     if layout.torque_delay:
         acted = time - layout.torque_delay
-        fields["effort"] = np.column_stack(
-            [np.interp(acted, time, column) for column in fields["effort"].T]
-        )
+        fields["effort"] = interpolated(acted, time, fields["effort"])
     joints = layout.joint_side({name: values[:, :count] for name, values in fields.items()})
     size = 1
     if rate is not None and len(time) > 1:
@@ -356,7 +354,7 @@ def _velocity(where: str, names: Sequence[str], time: Array, fields: Mapping[str
     return velocity
 
 
-def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:
+def _good_rows(where: str, series: JointSeries) -> Index:
     """Return the rows without NaN, spike or repeated stamp; refuse stamps that go back."""
     stamp = series.stamp_ns / NANOSECONDS
     steps = np.diff(series.stamp_ns)
@@ -433,13 +431,13 @@ def _differentiated(time: Array, position: Array) -> Array:
         return np.zeros_like(position)
     period = float(np.median(np.diff(time)))
     even = np.arange(time[0], time[-1] + period / 2.0, period)
-    smooth = np.column_stack([np.interp(even, time, column) for column in position.T])
+    smooth = interpolated(even, time, position)
     if 0.4 / period > _BANDWIDTH_HZ and len(even) > 30:
         smooth = sosfiltfilt(
             butter(2, _BANDWIDTH_HZ, fs=1.0 / period, output="sos"), smooth, axis=0
         )
     slope = np.gradient(smooth, period, axis=0)
-    return np.column_stack([np.interp(time, even, column) for column in slope.T])
+    return interpolated(time, even, slope)
 
 
 def _check_velocity(

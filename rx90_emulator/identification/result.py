@@ -9,10 +9,10 @@ from functools import cached_property
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, rms
 from rx90_common.friction import FrictionSet
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.bodies import Consistency
+from rx90_emulator.identification.bodies import ConsistentInertias
 from rx90_emulator.identification.estimates import (
     PRESLIDING,
     FrictionCurve,
@@ -190,7 +190,7 @@ class ExcitationIdentification(Identification):
     problem: ExcitationProblem
     fitted: FittedArm
     base: tuple[BaseParameter, ...]
-    consistency: Consistency
+    consistency: ConsistentInertias
     compared: Bandwidths
     torques: tuple[RunTorques, ...]
     bodies: tuple[MovedBodies, ...]
@@ -289,7 +289,7 @@ class ExcitationIdentification(Identification):
 
 
 def base_parameters(
-    problem: ExcitationProblem, fitted: FittedArm, consistency: Consistency
+    problem: ExcitationProblem, fitted: FittedArm, consistency: ConsistentInertias
 ) -> tuple[BaseParameter, ...]:
     """Return the linear parameters beside friction with their deviations.
 
@@ -298,7 +298,7 @@ def base_parameters(
     """
     first = len(fitted.fit.x)
     deviation = fitted.deviation[first:]
-    size = float(np.sqrt(np.mean(problem.torque**2)))
+    size = rms(problem.torque)
     effect = deviation * np.sqrt(np.mean(problem.regressor**2, axis=0))
     parameters = []
     for k, (name, group) in enumerate(zip(problem.names, problem.base.groups, strict=True)):
@@ -306,7 +306,5 @@ def base_parameters(
         if not effect[k] < size:
             estimate = ParameterEstimate.unknown(NOT_DETERMINED)
         unit = UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2")
-        parameters.append(
-            BaseParameter(name, group, unit, estimate, float(consistency.inertias.base[k]))
-        )
+        parameters.append(BaseParameter(name, group, unit, estimate, float(consistency.base[k])))
     return tuple(parameters)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -32,8 +32,7 @@ from rx90_emulator.loop.recorded_setup import check_robot
 from rx90_emulator.loop.setup import Setup
 
 JOINT_STATES = "joint_states"
-MessageOptions: TypeAlias = RobotOptions | MeasuredLayout
-Options = TypeVar("Options", RobotOptions, MeasuredLayout)
+Options = TypeVar("Options", bound=MeasuredLayout)
 NO_OPTIONS = MeasuredLayout()
 _ONE_EACH = ("names", "gear", "torque_constant", "zero", "rotor_inertia", "spring")
 
@@ -126,7 +125,7 @@ def _option(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def _check_sizes(options: MessageOptions, joints: int) -> None:
+def _check_sizes(options: MeasuredLayout, joints: int) -> None:
     """Refuse options with another size than for the joints, and numbers that are not finite."""
     for name in (*_ONE_EACH, "coupling"):
         values = getattr(options, name, None)
@@ -149,7 +148,7 @@ def _check_sizes(options: MessageOptions, joints: int) -> None:
 def arm_layout(
     topic: str,
     joints: Sequence[str],
-    options: MessageOptions = NO_OPTIONS,
+    options: MeasuredLayout = NO_OPTIONS,
     own_drives: Callable[[], DriveParameters] | None = None,
     mapping: LogMapping | None = None,
 ) -> BagLayout:

@@ -24,7 +24,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import nnls
 from scipy.signal import butter, sosfiltfilt
 
-from rx90_common.base.arrays import Array, Index, Mask
+from rx90_common.base.arrays import Array, Index, Mask, interpolated, rms
 from rx90_common.base.quoting import listed
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.options import SHIPPED_ROBOT, RobotOptions
@@ -90,9 +90,7 @@ def _filtered(record: JointRecord, step: float) -> tuple[Array, Array]:
     if count < 1:
         return np.empty((3, 0, position.shape[1])), np.empty((len(LAGS), 0, position.shape[1]))
     even = np.arange(stamp[0], stamp[-1], 1.0 / rate)
-    series = np.column_stack(
-        [np.interp(even, stamp, column) for column in np.hstack([position, torque]).T]
-    )
+    series = interpolated(even, stamp, np.hstack([position, torque]))
     sections = butter(2, band, fs=rate, output="sos")
     curve = CubicSpline(even, sosfiltfilt(sections, series, axis=0))
     at = record.time[0] + margin + step * np.arange(count)
@@ -258,7 +256,7 @@ class _Trials:
     @property
     def unexplained(self) -> float:
         """Return the RMS of the residual, each joint's in parts of its own torque."""
-        return float(np.sqrt(np.mean(self.residual**2)))
+        return rms(self.residual)
 
     def _without(self, mistake: Mistake) -> tuple[Array, Array, Array]:
         """Return motion, torques and what the model leaves of them with a mistake undone."""

@@ -25,7 +25,7 @@ from rx90_common.base.models import FileModel, Triple, quantity
 from rx90_common.base.quoting import counted, one_line, plain, quoted
 from rx90_common.base.text_lines import read_bytes, read_lines
 from rx90_common.description.rotations import angle_between, length, rpy_rotation
-from rx90_controller.lines.task import Angles, radians
+from rx90_controller.lines.task import Angles, Vector, radians
 from rx90_controller.paths.curve import KINK
 from rx90_controller.paths.path import Segment
 
@@ -128,7 +128,7 @@ class Drawing(FileModel):
         """Return where it is."""
         return Path(self.name)
 
-    def read(self) -> tuple[tuple[float, ...], tuple[Segment, ...]]:
+    def read(self) -> tuple[Vector, tuple[Segment, ...]]:
         """Return the start, m, and the segments of a path."""
         readers = {".csv": self._csv, ".dxf": self._dxf}
         kind = self.file.suffix.lower()
@@ -142,7 +142,7 @@ class Drawing(FileModel):
             self._refuse(f"holds {count:,} points; accepted: up to {_MOST_POINTS:,}")
         turn = rpy_rotation(radians(self.rpy_degrees))
 
-        def placed(point: Any) -> tuple[float, ...]:
+        def placed(point: Any) -> Vector:
             return tuple((turn @ np.multiply(point, UNITS[unit]) + self.origin).tolist())
 
         laid = [
@@ -156,7 +156,7 @@ class Drawing(FileModel):
         ]
         return placed(start), self._rounded(placed(start), laid)
 
-    def _rounded(self, start: tuple[float, ...], segments: list[Segment]) -> tuple[Segment, ...]:
+    def _rounded(self, start: Vector, segments: list[Segment]) -> tuple[Segment, ...]:
         """Return the segments with a zone at each corner, up to half of a neighbour, but where the path turns back."""
         if self.zone == 0.0:
             return tuple(segments)
@@ -283,7 +283,7 @@ class Drawing(FileModel):
                 drawn.append((start, Segment(tuple(points), "spline", corner=corner)))
         return drawn
 
-    def _points(self, curve: Any, knots: Array, tolerance: float) -> list[tuple[float, ...]]:
+    def _points(self, curve: Any, knots: Array, tolerance: float) -> list[Vector]:
         """Return points of a spline, of which no middle between two by the parameter is off the middle of their chord.
 
         The cubic spline through them is far nearer to the curve than their chords.
@@ -310,7 +310,7 @@ class Drawing(FileModel):
         moves = np.append(True, chords > 0.0)  # not where equal control points let it rest
         return [tuple(point) for point in points[moves].tolist()]
 
-    def _chained(self, drawn: list[_Drawn]) -> tuple[tuple[float, ...], list[Segment]]:
+    def _chained(self, drawn: list[_Drawn]) -> tuple[Vector, list[Segment]]:
         """Return start and segments end to end, from an open end, else from the start of the first one."""
         from ezdxf.edgeminer import Deposit, find_simple_chain, make_edge, reverse_chain
 
@@ -337,7 +337,7 @@ class Drawing(FileModel):
         return tuple(chain[0].start), segments
 
 
-_Drawn: TypeAlias = tuple[tuple[float, ...], Segment]
+_Drawn: TypeAlias = tuple[Vector, Segment]
 """A start and a segment from there."""
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.arrays import Array, Mask, interpolated, rms
 from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.description.kinematics import Pose, forward, polyline_error, tip_position
 from rx90_common.description.robot import RobotModel
@@ -60,7 +59,7 @@ class PathAccuracy:
     @property
     def rms(self) -> float:
         """Return the root mean square distance from the path, m."""
-        return math.sqrt(float(np.mean(self.perpendicular**2)))
+        return rms(self.perpendicular)
 
     @property
     def worst_along_track(self) -> float:
@@ -269,7 +268,7 @@ def followed_accuracy(
         near = np.clip(np.searchsorted(when, times[rows], side="right") - 1, 0, len(when) - 1)
         along, across = polyline_error(pose.position, corners, near)
         way = np.concatenate([[0.0], np.cumsum(length(np.diff(corners, axis=0)))])
-        there = np.column_stack([np.interp(along, way, joint) for joint in setpoints[places].T])
+        there = interpolated(along, way, setpoints[places])
         turned = turned_by(robot, pose, forward(robot.chain, there))
         found.append(
             np.stack(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.base.arrays import Array, Record
+from rx90_common.base.arrays import Array, Mask, Record
 from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.topics import JOINT_COMMANDS, MEASURED_JOINT_STATES
@@ -93,7 +93,7 @@ class ControllerRun:
     friction_states: Array
     measured: Array
     efforts: Array
-    powered: NDArray[np.bool_]
+    powered: Mask
     saturated: NDArray[np.int64]
 
     @cached_property

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, check_type, located
 from rx90_common.base.models import AnyModel, Model, word_of
 from rx90_common.base.quoting import counted, nearest, question, quoted
@@ -362,7 +362,7 @@ def _robot(robot: RobotModel, links: Mapping[str, Any]) -> RobotModel:
 
 
 @lru_cache(maxsize=4)
-def _rotations_at_zero(model: Any) -> list[NDArray[np.float64]]:
+def _rotations_at_zero(model: Any) -> list[Array]:
     """Return the orientation of each link at q = 0; runs of a sweep have it in common."""
     data = model.createData()
     pin.forwardKinematics(model, data, np.zeros(model.nq))

@@ -135,7 +135,7 @@ class RunResult:
     @property
     def times(self) -> Array:
         """Return the times of the slow series, s, shape (m,)."""
-        return np.asarray(
+        return (
             np.arange(len(self.slow.joint_states), dtype=np.float64)
             * self.setup.rates.position_period
         )

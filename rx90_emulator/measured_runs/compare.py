@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from rx90_common.base.errors import IdentificationError, TrajectoryError, check_
 from rx90_common.base.quoting import counted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.topics import MOTOR_STATES
-from rx90_emulator.identification.options import MeasuredLayout
+from rx90_emulator.identification.options import MeasuredLayout, MeasuredTolerances, Progress
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
 from rx90_emulator.identification.robot import (
     JOINT_STATES,
@@ -42,7 +42,6 @@ from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.recorded_setup import check_robot
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.measured_runs.options import MeasuredTolerances
 
 REFERENCE = "rx90_controller/reference"
 _HOLD_S = 0.5  # s at rest before a motion, in which the integrators take over the arm's weight
@@ -138,7 +137,7 @@ def compare_measured(
     tolerances: MeasuredTolerances = _DEFAULT_TOLERANCES,
     *,
     bandwidth: float | None = None,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Progress = lambda _: None,
 ) -> MeasuredComparison:
     """Run the closed loop along the motion of a measured arm and compare torques and positions with the measured ones.
 
@@ -179,7 +178,7 @@ def compare_measured(
     # A joint counts as moving if every motor and friction element that it turns is moving.
     matrix = setup.drives.turning.element_matrix
     resting = element_states(run, matrix)[0] @ (matrix != 0.0)
-    moves = np.asarray(~resting & (np.ptp(run.position, axis=0) > _MIN_TRAVEL))
+    moves = ~resting & (np.ptp(run.position, axis=0) > _MIN_TRAVEL)
     setpoints = _recorded_setpoints(run, record.position[0], setup, what) or path_setpoints(
         run, setup
     )
@@ -207,7 +206,7 @@ def compare_measured(
         difference = simulated(time + lag - setpoints.start)[:, 0] - measured[:, 0]
         lag -= float(np.sum(difference * velocity)) / float(np.sum(velocity**2))
         lag = float(np.clip(lag, -_MAX_LAG_S, _MAX_LAG_S))
-    follows = np.asarray(simulated(time + lag - setpoints.start))
+    follows = simulated(time + lag - setpoints.start)
     return MeasuredComparison(
         names=run.names,
         robot=setup.robot.model.name,

@@ -7,12 +7,11 @@ from pathlib import Path
 
 from bokeh.plotting import figure
 
-from rx90_common.description.robot_files import MODEL_FILES, RobotFiles
+from rx90_common.description.robot_files import MODEL_FILES
 from rx90_common.process.files import write_text
 from rx90_common.report.charts import chart, over_one_x
 from rx90_common.report.page import render_page
-from rx90_emulator.identification.job import check_targets, steps
-from rx90_emulator.identification.options import MeasuredLayout
+from rx90_emulator.identification.job import check_targets
 from rx90_emulator.identification.output import plots
 from rx90_emulator.identification.output.plots import DIFFERENCE, DRAWN_S
 from rx90_emulator.identification.output.summary import number, table
@@ -20,9 +19,7 @@ from rx90_emulator.identification.validation.verdict import verdict
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.measured_runs.compare import (
     MeasuredComparison,
-    compare_measured,
 )
-from rx90_emulator.measured_runs.options import MeasuredTolerances
 
 
 def measured_facts(result: MeasuredComparison) -> tuple[str, ...]:
@@ -38,7 +35,7 @@ def measured_facts(result: MeasuredComparison) -> tuple[str, ...]:
 
 def measured_verdict(result: MeasuredComparison) -> str:
     """Return the verdict, with the decisive values and their limits."""
-    return verdict(result.source.path, ("agrees", "DOES NOT AGREE"), *result.criteria)
+    return verdict(result.source.path, ("agrees", "DOES NOT AGREE"), result.criteria)
 
 
 def measured_summary(result: MeasuredComparison) -> str:
@@ -105,29 +102,3 @@ def write_measured(
     )
     write_text(page, text)
     return page
-
-
-def run_comparison(
-    bag: Path,
-    files: RobotFiles,
-    layout: MeasuredLayout,
-    tolerances: MeasuredTolerances,
-    bandwidth: float | None = None,
-    page: Path | None = None,
-    *,
-    force: bool = False,
-) -> bool:
-    """Compare with a progress bar, write the report if requested, print a table, and return the verdict.
-
-    The arguments are those of `compare_measured`, with the files of the robot; the report's place is checked first.
-    """
-    check_targets(page, force=force)
-    setup = Setup.load(files)
-    with steps() as step:
-        result = compare_measured(
-            bag, setup, layout, tolerances, bandwidth=bandwidth, progress=step
-        )
-    print(measured_summary(result))
-    if page is not None:
-        print(f"report: {write_measured(result, setup, page, force=force)}")
-    return result.passed

@@ -21,10 +21,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Mask
 from rx90_common.base.errors import SweepError, write_error
 from rx90_common.base.quoting import aligned, counted
+from rx90_common.process.files import atomic_files
 from rx90_emulator.loop.parameters import SWITCH
 from rx90_emulator.sweep.sweep import RUN_COLUMNS, RunOutcome, Sweep
 
@@ -165,7 +166,7 @@ class ResultStore:
         if not file.name or file.is_dir():
             raise SweepError(f"{file} is a folder; accepted: a file")
         self.file = file
-        self.done: NDArray[np.bool_] = np.zeros(len(sweep), dtype=np.bool_)
+        self.done: Mask = np.zeros(len(sweep), dtype=np.bool_)
         self._sweep = sweep
         self._schema = schema_of(sweep)
         self._parts = parts_folder(file)
@@ -254,15 +255,10 @@ class ResultStore:
             ) from error
 
     def _write(self, table: pa.Table, target: Path) -> None:
-        # Readers of the folder overlook names that begin with a dot.
-        temporary = self._parts / f".{target.name}"
-        try:
-            pq.write_table(table, temporary, compression="zstd", write_page_checksum=True)
-            with temporary.open("rb") as stream:
+        with atomic_files(target) as (place,):
+            pq.write_table(table, place, compression="zstd", write_page_checksum=True)
+            with place.open("rb") as stream:
                 os.fsync(stream.fileno())
-            temporary.replace(target)
-        except OSError as error:
-            raise write_error(target, error) from error
 
 
 def describe_results(file: Path) -> list[str]:

@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, rms
 from rx90_common.base.errors import ConfigError, SweepError
 from rx90_common.base.share import project_files, sources_hash, versions
 from rx90_common.description.kinematics import forward, tip_position
@@ -102,7 +102,7 @@ def measure(task: TipTask, result: RunResult) -> tuple[float | int, ...]:
     work = result.setup.rates.position_period * (power.sum(axis=0) - 0.5 * (power[0] + power[-1]))
     return (
         *_path_errors(task, result.setup.robot, joints[:, 0], result.times[rows]),
-        *_peaks(error), *map(_rms, error.T),
+        *_peaks(error), *map(rms, error.T),
         *_peaks(joints[:, 1]), *_peaks(joints[:, 2]), *work.tolist(), *result.saturated.tolist(),
     )  # fmt: skip
 
@@ -118,7 +118,7 @@ def _path_errors(
     across = error.perpendicular
     return (
         float(across.max()),
-        _rms(across),
+        rms(across),
         float(np.abs(error.along - asked).max()),
         float(turned.max()),
     )
@@ -128,10 +128,6 @@ def _peaks(values: Array) -> list[float]:
     """Return the largest absolute value of each column."""
     peaks: list[float] = np.maximum(values.max(axis=0), -values.min(axis=0)).tolist()
     return peaks
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 class RunOutcome(NamedTuple):

@@ -26,7 +26,12 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError, LineError
 from rx90_common.exchange.arm_watch import JointSample
 from rx90_common.exchange.client_node import ClientNode, ServiceCalls, subscribe_log
-from rx90_controller.lines.plan import Approach, LinePlan, approached
+from rx90_controller.lines.plan import (
+    APPROACH_ACCELERATION,
+    APPROACH_SPEED,
+    LinePlan,
+    approached,
+)
 from rx90_controller.node.trajectory_client import TrajectoryClient, enable_request
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
@@ -215,9 +220,7 @@ class ControlPanel:
             self._hear(_PAGE, "no joint_states: does a simulation run?", True)
             return
         try:
-            line = approached(
-                self._plan, arm.position, self._limits, self._set_point_period, Approach()
-            )
+            line = approached(self._plan, arm.position, self._limits, self._set_point_period, True)
         except LineError as error:
             self._hear(_PAGE, str(error), True)
         else:
@@ -262,7 +265,6 @@ _ROUNDING = 1e-6  # steps: a limit of whole degrees is one of the ends
 _MIN_DURATION = 0.02  # s
 _DURATION_FACTOR = 1.15  # from one try to the next
 _SAMPLES = np.linspace(0.0, 1.0, 33)[:-1]  # the last one would be the rest behind the end
-_JOG_LIMITS = Approach()
 
 
 def jog(position: Array, velocity: Array, target: Array, limits: JointLimits) -> TrajectoryPoints:
@@ -278,8 +280,8 @@ def jog(position: Array, velocity: Array, target: Array, limits: JointLimits) ->
         limits: the controller's.
     """
     # Slower than it is, it cannot be at once.
-    top = np.maximum(_JOG_LIMITS.speed * limits.velocity, np.abs(velocity)) * (1.0 + _ROUNDING)
-    most = np.minimum(_JOG_LIMITS.acceleration, limits.acceleration)
+    top = np.maximum(APPROACH_SPEED * limits.velocity, np.abs(velocity)) * (1.0 + _ROUNDING)
+    most = np.minimum(APPROACH_ACCELERATION, limits.acceleration)
     rest = np.zeros((1, len(target)))
     ends = np.stack([position, target])
     speeds = np.vstack([velocity, rest])

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import viser
-from numpy.typing import NDArray
 from viser import transforms
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.rotations import length
 from rx90_common.description.shapes import VisualShape, drawn_shapes
@@ -175,7 +174,7 @@ class LineScene:
         self._trace.visible = False
         self._changed = False
 
-    def follow(self, times: Array, tips: Array, at_rest: NDArray[np.bool_]) -> None:
+    def follow(self, times: Array, tips: Array, at_rest: Mask) -> None:
         """Take the trajectory that was accepted last.
 
         Args:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from rx90_common.base.errors import ExchangeError, Rx90Error
 from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ProcessGroup, executable
-from rx90_controller.lines.plan import Approach, LinePlan
+from rx90_controller.lines.plan import LinePlan
 from rx90_controller.node.trajectory_client import deliver
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.live import LiveView
@@ -35,7 +35,7 @@ class Tour:
         self._command = executable("rx90_cell", "--ros-args", "-p", f"robot:={robot}")
         limits = setup.controller.limits(setup.robot)
         period = setup.rates.position_period
-        self._line = plan, controller, limits, period, Approach()
+        self._line = plan, controller, limits, period, True
         self._group = ProcessGroup()
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None

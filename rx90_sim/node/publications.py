@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,10 +32,11 @@ from rx90_sim.plant import Plant
 _SHORTEST_SAMPLED_PERIOD = 0.5 / SAMPLED_RATE
 
 
+@dataclass
 class PeriodicMessage:
     """A message that is published every few ticks, to those who listen.
 
-    Args:
+    Attributes:
         publisher: of the topic.
         ticks: from one message to the next.
         encode: returns the message for a time, ns.
@@ -42,36 +44,28 @@ class PeriodicMessage:
         is_costly: whether it is not made while nobody listens; who comes then gets the next one.
     """
 
-    def __init__(
-        self,
-        publisher: Publisher,
-        ticks: int,
-        encode: Callable[[int], Any],
-        least_gap: float = 0.0,
-        is_costly: bool = False,
-    ) -> None:
-        self.publisher = publisher
-        self._ticks = ticks
-        self._encode = encode
-        self._least_gap = least_gap
-        self._is_costly = is_costly
-        self._due = 0.0  # s of the steady clock
-        self._newest: Any = None
+    publisher: Publisher
+    ticks: int
+    encode: Callable[[int], Any]
+    least_gap: float = 0.0
+    is_costly: bool = False
+    _due: float = 0.0  # s of the steady clock
+    _newest: Any = None
 
     def publish_due(self, tick: int, stamp: int) -> None:
         """Publish the message of this tick, whose time is `stamp`, ns, if it is due."""
-        if tick % self._ticks:
+        if tick % self.ticks:
             return
-        if self._is_costly and not self.publisher.get_subscription_count():
+        if self.is_costly and not self.publisher.get_subscription_count():
             self._newest = None
             return
         # Also without subscribers: one that subscribes while time stands still gets the newest.
-        self._newest = self._encode(stamp)
-        if self._least_gap:
+        self._newest = self.encode(stamp)
+        if self.least_gap:
             now = time.monotonic()
             if now < self._due:
                 return
-            self._due = now + self._least_gap
+            self._due = now + self.least_gap
         self.repeat()
 
     def repeat(self) -> None:

@@ -166,8 +166,8 @@ def test_each_part_of_the_feed_forward_has_its_switch(shipped: Setup, part: str)
         sign = np.clip(rate / given.feed_forward.coulomb_velocity, -1.0, 1.0)
         want = (
             switch.acceleration * given.inertia * acceleration
-            + switch.coulomb * given.coulomb * sign
-            + switch.viscous * given.viscous * rate
+            + switch.coulomb * np.array(switch.coulomb_torque) * sign
+            + switch.viscous * np.array(switch.viscous_friction) * rate
         )
         assert controller.state["feed_forward"][0] * gear == pytest.approx(want, abs=1e-9)
     joint = COUPLING.T @ want
@@ -180,8 +180,9 @@ def test_gains_are_given_for_the_joint_and_used_at_the_motor(shipped: Setup) -> 
     rng, gear = np.random.default_rng(12), shipped.drives.gear
     error, rate = rng.uniform(-1e-4, 1e-4, 6), rng.uniform(-1e-3, 1e-3, 6)
     law.step(-error * gear, rate * gear)
-    pi = given.inertia * (given.kv * given.kp + given.ki * 1e-3) * error
-    damping = -given.inertia * given.kv * rate
+    kp, kv, ki = np.array([given.servo.kp, given.servo.kv, given.servo.ki])
+    pi = given.inertia * (kv * kp + ki * 1e-3) * error
+    damping = -given.inertia * kv * rate
     gain = 1 - math.exp(-2 * math.pi * given.current_loop.bandwidth / 4000)
     assert law.state["position_torque"][0] * gear == pytest.approx(pi, rel=1e-12)
     assert law.state["command"][0] * gear == pytest.approx(gain * (pi + damping), rel=1e-9)

@@ -44,14 +44,12 @@ def test_tolerances_are_the_defaults_unless_the_goal_says_otherwise() -> None:
         )
     ).tolerances
     none = np.inf
-    path = [[0.02, none] + [none] * 4, [none, 0.3] + [none] * 4, [5.0] + [none] * 5]
-    goal = [[none, none, 0.01, none, none, 0.004], [0.02, 0.02, none, 0.02, 0.02, 0.02], [none] * 6]
-    assert own.path.tolist() == path
-    assert own.goal.tolist() == goal
+    assert own.path.tolist() == [0.02] + [none] * 5
+    assert own.goal.tolist() == [none, none, 0.01, none, none, 0.004]
     assert own.goal_time == none
     after = checked(message(goal_time_tolerance=stamp(0.25))).tolerances
-    assert after.path.tolist() == [[none, 0.05] + [none] * 4, [none] * 6, [none] * 6]
-    assert after.goal.tolist() == [[none, none, 0.01] + [none] * 3, [0.02] * 6, [none] * 6]
+    assert after.path.tolist() == [none, 0.05] + [none] * 4
+    assert after.goal.tolist() == [none, none, 0.01] + [none] * 3
     assert after.goal_time == 0.25
     assert checked(message()).tolerances.goal_time == 0.5
 
@@ -156,9 +154,8 @@ def test_tolerances_are_read_as_joint_trajectory_controller_reads_them() -> None
     twice = [tolerance("joint_2", 0.3), tolerance("joint_2", 0.2, np.inf), tolerance("joint_3", np.nan)]
     read = checked(message(path_tolerance=twice, goal_tolerance=[tolerance("joint_3", np.nan)]))
     assert read.remark == ""
-    assert read.tolerances.path[:, 1].tolist() == [0.2, np.inf, np.inf]
-    assert read.tolerances.path[0, 2] == np.inf
-    assert read.tolerances.goal[0, 2] == 0.01
+    assert read.tolerances.path[1:3].tolist() == [0.2, np.inf]
+    assert read.tolerances.goal[2] == 0.01
 
 
 @pytest.mark.parametrize("at", [0, 250])

@@ -17,7 +17,8 @@ from rx90_common.description.branch import BRANCHES, Branch
 from rx90_common.description.inverse import SphericalWristArm
 from rx90_common.description.kinematics import forward, path_error
 from rx90_common.description.robot import RobotModel
-from rx90_controller.lines.plan import Approach, LinePlan, plan_line
+from rx90_controller.lines import plan as planning
+from rx90_controller.lines.plan import LinePlan, approach_duration, plan_line
 from rx90_controller.lines.task import LineTask, TrapezoidalProfile, load_task
 from rx90_emulator.loop.setup import Setup
 
@@ -88,10 +89,13 @@ def test_short_lines_and_short_rests(shipped: Setup, task: LineTask, length: flo
 
 
 @pytest.mark.parametrize("acceleration", [1e9, 0.5])
-def test_approach_uses_its_limits_and_no_more(shipped: Setup, acceleration: float) -> None:
+def test_approach_uses_its_limits_and_no_more(
+    shipped: Setup, acceleration: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(planning, "APPROACH_ACCELERATION", acceleration)
     robot = shipped.robot
     start, end = np.zeros(6), np.array([0.5, -0.8, 1.2, 0.0, 0.3, -2.0])
-    duration = Approach(0.25, acceleration).duration(robot, start, end)
+    duration = approach_duration(robot, start, end)
     rest = np.zeros((2, 6))
     values = np.stack([[start, end], rest, rest], axis=1)
     move = BPoly.from_derivatives([0.0, duration], list(values))

@@ -18,7 +18,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.share import config_path
 from rx90_common.exchange.endpoints import ros_time
-from rx90_controller.lines.plan import Approach, plan_line
+from rx90_controller.lines.plan import approach_duration, plan_line
 from rx90_controller.lines.task import load_task
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.setup import Setup
@@ -131,7 +131,7 @@ def test_the_command_ends_with_the_motion(shipped: Setup, processes: Processes, 
     """Not before the end of approach and line in the arm's time; 5 s after it rests elsewhere; at once by Ctrl-C."""
     plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
     here = plan.start_pose + np.array([0.1, -0.2, 0.3, 0.0, 0.1, -0.4])
-    approach = Approach().duration(shipped.robot, here, plan.start_pose)
+    approach = approach_duration(shipped.robot, here, plan.start_pose)
     whole = approach + plan.duration
     after = {"arrives": whole, "stays": whole + 5.0, "interrupted": 2.5}[end]
     state = JointState(name=shipped.robot.joint_names[::-1], position=here[::-1].tolist())

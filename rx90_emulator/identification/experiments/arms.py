@@ -66,8 +66,8 @@ class PlannedArm:
             home=pose,
             limits=controller.limits(setup.robot),
             motor_torque=np.abs(setup.drives.gear) * setup.drives.peak_torque,
-            coulomb=controller.coulomb,
-            viscous=controller.viscous,
+            coulomb=np.array(controller.feed_forward.coulomb_torque),
+            viscous=np.array(controller.feed_forward.viscous_friction),
             exponent=controller.viscous_exponent,
             remarks=remarks,
         )

@@ -18,6 +18,7 @@ from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.client_node import ClientNode, client_node
 from rx90_common.process.children import ProcessGroup, executable
+from rx90_controller.lines.plan import APPROACH_ACCELERATION, APPROACH_SPEED
 from rx90_controller.node.trajectory_client import NewestPositions, Show, TrajectoryClient
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
@@ -27,8 +28,6 @@ from rx90_emulator.loop.setup import Setup
 
 _ATTEMPTS = 3  # of an experiment whose recorder loses messages
 _AT_REST = 1e-6  # rad, from a set-point to the end of the trajectory
-_APPROACH_SPEED = 0.25
-_APPROACH_ACCELERATION = 2.0
 
 
 def run_on_nodes(
@@ -63,7 +62,7 @@ def run_on_nodes(
         motion = Motion(set_points.position)
         start = plan[0].points.position[0]
         if np.abs(start - motion.pose).max() > setup.controller.trajectory.start_tolerance:
-            motion.move(start, setup.robot.max_velocity * _APPROACH_SPEED, _APPROACH_ACCELERATION)
+            motion.move(start, setup.robot.max_velocity * APPROACH_SPEED, APPROACH_ACCELERATION)
             client.say(f"approach: {motion.duration:.1f} s")
             follow(motion.points(names), show=lambda *_: None)
         for number, experiment in enumerate(plan):

@@ -19,8 +19,6 @@ from rx90_common.process.files import made_folder, write_all, write_text
 from rx90_controller.trajectory.points import message_content
 from rx90_controller.trajectory.spline import interpolate
 from rx90_emulator.identification.experiments.arms import PlannedArm
-from rx90_emulator.identification.experiments.excitation import plan_excitation
-from rx90_emulator.identification.experiments.options import ExcitationOptions
 from rx90_emulator.identification.experiments.plan import (
     TOPICS,
     Experiment,
@@ -85,16 +83,6 @@ def write_motions(folder: Path, plan: Sequence[Experiment], arm: PlannedArm, rat
         write_all(files)
 
 
-def plan_with_progress(
-    arm: PlannedArm, options: ExcitationOptions
-) -> tuple[tuple[Experiment, ...], list[str]]:
-    """Plan excitation runs with a progress line."""
-    with tqdm(
-        desc="search", unit="step", disable=None, delay=1e-9
-    ) as bar:  # what is refused at once needs none
-        return plan_excitation(arm, options, bar.update)
-
-
 _SETTLING_S = 0.2  # s, after the end
 
 
@@ -135,20 +123,3 @@ def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | st
             run_on_engine(setup, experiment, new / experiment.name)
             write_index(new, plan[: number + 1])
             write_text(new / "emulated_friction.yaml", friction.text())
-
-
-def record_on_nodes(
-    setup: Setup,
-    plan: Sequence[Experiment],
-    folder: Path,
-    controller: str = "rx90_controller",
-    timeout: float = 60.0,
-) -> None:
-    """Run experiments on a controller node, each into a bag of a new folder; waits for the nodes for `timeout`, s."""
-    with made_folder(folder):
-        from rx90_common.exchange.ros_start import prepare
-
-        prepare()
-        from rx90_emulator.identification.experiments.nodes import run_on_nodes
-
-        run_on_nodes(setup, plan, folder, controller, timeout)

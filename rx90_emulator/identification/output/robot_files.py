@@ -192,7 +192,7 @@ def robot_texts(
         base: basis of a whole folder; None for URDF and friction file alone.
     """
     arm = result.arm
-    inertias = result.consistency.inertias
+    inertias = result.consistency
     if not np.isfinite(inertias.parameters).all():
         raise IdentificationError("inertial parameters that are not finite; nothing is written")
     names = arm.element_names if base is None else base.turning.element_names(arm.names)
@@ -245,7 +245,7 @@ def _folder_texts(
         fastest = np.max(
             [np.abs(run.acceleration).max(axis=0) for run in result.problem.runs], axis=0
         )
-        rotors = result.consistency.inertias.rotors
+        rotors = result.consistency.rotors
         drives, controller = assumed_files(
             base.robot, pin.buildModelFromXML(urdf), base.turning, rotors, new, fastest
         )
@@ -270,21 +270,17 @@ def _folder_texts(
 
 def _drive_values(result: ExcitationIdentification) -> dict[tuple[str, str], Identified]:
     """Return the identified rotors and springs, by block and key of the drives file."""
-    inertias = result.consistency.inertias
     columns = result.problem.columns
+    identified = _parameters(result)
     names = result.arm.names
     values = {}
-    for kind, block, key in (("Ia", "transmission", "rotor_inertia"), ("k", "spring", "torque")):
-        place = {
-            name: columns.names.index(f"{kind}_{joint}")
-            for joint, name in enumerate(names, 1)
-            if f"{kind}_{joint}" in columns.names
-        }
-        if not place or (kind == "Ia" and not columns.rotors):
+    for there, kind, block, key in (
+        (columns.rotors, "Ia", "transmission", "rotor_inertia"),
+        (columns.springs, "k", "spring", "torque"),
+    ):
+        if not there:
             continue
-        amounts = [
-            float(inertias.parameters[place[name]]) if name in place else 0.0 for name in names
-        ]
+        amounts = [identified.get(f"{kind}_{joint}", 0.0) for joint in range(1, len(names) + 1)]
         if min(amounts) < 0.0:
             worst = names[int(np.argmin(amounts))]
             raise IdentificationError(
@@ -293,6 +289,12 @@ def _drive_values(result: ExcitationIdentification) -> dict[tuple[str, str], Ide
         written = [digits(amount, 12) for amount in amounts]
         values[block, key] = Identified(written, "identified", _origin(result))
     return values
+
+
+def _parameters(result: ExcitationIdentification) -> dict[str, float]:
+    """Return the parameters of the bodies in the files, by name."""
+    numbers = result.consistency.parameters.tolist()
+    return dict(zip(result.problem.columns.names, numbers, strict=True))
 
 
 def _compensation(
@@ -327,8 +329,7 @@ def _joints(result: ExcitationIdentification) -> dict[str, dict[str, float]]:
 
     Rotors and springs of another arm may be in a drives file, too: its URDF alone is held against bags with these.
     """
-    numbers = result.consistency.inertias.parameters.tolist()
-    values = dict(zip(result.problem.columns.names, numbers, strict=True))
+    values = _parameters(result)
     kinds = {"offset": "offset"} | (
         {} if result.robot.setup else {"rotor_inertia": "Ia", "spring": "k"}
     )
@@ -352,7 +353,7 @@ _PARAMETERS_HEAD = """\
 def parameters_text(result: ExcitationIdentification) -> str:
     """Return the results of the runs beside friction as one YAML file for programs and for the record."""
     fitted = result.fitted
-    bodies = result.consistency.inertias
+    bodies = result.consistency
     deviation = np.where(fitted.determined, fitted.deviation, np.nan)
     correlation = (fitted.covariance / np.outer(deviation, deviation)).tolist()
     content: dict[str, Any] = {

@@ -50,7 +50,12 @@ def identification_summary(result: Identification) -> str:
     """Return values with deviations, what is not identified with reasons, goodness of fit, alarms and verdicts."""
     lines = _friction_lines(result)
     if isinstance(result, FrictionIdentification):
-        lines += _sweep_lines(result)
+        names = result.arm.element_names
+        lines += [
+            f"fit of {name}: residual {curve.rms:.3g} Nm RMS, {curve.share:.2%} of its friction"
+            for name, curve in result.curves.items()
+        ]
+        lines += [f"{use.bag.path}: {use.text(names)}" for use in result.sliding.usage]
     if isinstance(result, ExcitationIdentification):
         lines += _excitation_lines(result)
     lines += [f"alarm: {alarm}" for alarm in result.alarms]
@@ -85,16 +90,6 @@ def _with_deviation(estimate: ParameterEstimate | None) -> str:
         return "-"
     value, deviation = estimate.texts()
     return f"{value} +- {deviation}" if estimate.deviation else value
-
-
-def _sweep_lines(result: FrictionIdentification) -> list[str]:
-    """Return how well the curves fit, and what was used of each bag of sweeps."""
-    names = result.arm.element_names
-    fits = [
-        f"fit of {name}: residual {curve.rms:.3g} Nm RMS, {curve.share:.2%} of its friction"
-        for name, curve in result.curves.items()
-    ]
-    return [*fits, *(f"{use.bag.path}: {use.text(names)}" for use in result.sliding.usage)]
 
 
 def _excitation_lines(result: ExcitationIdentification) -> list[str]:
@@ -204,9 +199,8 @@ def validation_verdict(check: Validation, scope: str = "") -> str:
         scope: which values are assumed, in words, where the friction was identified.
     """
     behind = f" by a bag that the fit did not use; {scope}" if scope else ""
-    said = "confirmed, but the alarms stand" if check.alarms else "confirmed"
-    words = (f"{said}{behind}", f"NOT CONFIRMED{behind}")
-    return verdict(f"validation {check.source}", words, *check.criteria, *check.remarks)
+    words = (f"{verdict_words(check)}{behind}", f"NOT CONFIRMED{behind}")
+    return verdict(f"validation {check.source}", words, check.criteria, check.remarks)
 
 
 def check_summary(checks: Sequence[Validation]) -> str:

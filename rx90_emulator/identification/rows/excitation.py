@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import correlate
 
-from rx90_common.base.arrays import Array, Index, Mask
+from rx90_common.base.arrays import Array, Index, Mask, rms
 from rx90_common.base.errors import IdentificationError
 from rx90_common.estimation.elements import FrictionRows
 from rx90_common.estimation.law import Law, Part, Speeds
@@ -354,7 +354,7 @@ class ExcitationElement:
         )
         distances = [1e-7]
         for run in problem.runs:
-            acceleration = float(np.sqrt(np.mean((run.acceleration @ share) ** 2)))
+            acceleration = rms(run.acceleration @ share)
             distances.append(VISIBLE_PRESLIDING * 0.5 * acceleration / run.bandwidths.torque**2)
         speeds = Speeds(float(low), float(high), max(distances))
         return cls(

@@ -21,7 +21,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from scipy.signal import butter, sosfiltfilt
 from scipy.signal.windows import tukey
 
-from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.arrays import Array, Mask, interpolated
 from rx90_common.base.errors import IdentificationError
 from rx90_common.estimation.fit import Problem
 from rx90_common.estimation.law import deflect
@@ -100,7 +100,6 @@ class MicroMotion:
         interval: of the record's time, s.
         step: s.
         speed: of the joints, mean over each step, rad/s, shape (m, k).
-        position: rad, shape (b, k).
         friction: drive torque less that of the rigid arm, Nm, shape (b, k).
         acceleration: of all n joints, rad/s^2, shape (b, n).
         mass: the group's rows of the mass matrix, kg m^2, shape (k, n).
@@ -111,7 +110,6 @@ class MicroMotion:
     interval: tuple[float, float]
     step: float
     speed: Array
-    position: Array
     friction: Array
     acceleration: Array
     mass: Array
@@ -182,7 +180,6 @@ def find_micro_motions(
                     interval=(float(time[part][0]), float(time[part][-1])),
                     step=step,
                     speed=speed[:, joints],
-                    position=place[:, joints],
                     friction=(block_means(torque[part][1:], _BLOCK) - rigid)[:, joints],
                     acceleration=acceleration,
                     mass=mass[joints],
@@ -377,8 +374,8 @@ def _on_grid(record: JointRecord) -> tuple[float, Array, Array, Array, Mask]:
     # Set-points are constant between updates, which makes images of an oscillation near multiples of their rate;
     # without the low-pass, coarser steps would alias them onto it.
     sections = butter(4, min(_LOW_PASS_HZ, 0.4 / step), fs=1.0 / step, output="sos")
-    even = np.column_stack([np.interp(time, there, column) for column in values[rows].T])
-    position, torque = np.hsplit(np.asarray(sosfiltfilt(sections, even, axis=0)), 2)
+    even = interpolated(time, there, values[rows])
+    position, torque = np.hsplit(sosfiltfilt(sections, even, axis=0), 2)
     # The torque is averaged over the simulation's steps; it acts until its stamp.
     factor = max(1, int(_MIN_STEP_S / step + 1e-6))
     chosen = slice(0, 1 + (len(time) - 1) // factor * factor, factor)

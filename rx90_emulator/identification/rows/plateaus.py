@@ -88,7 +88,7 @@ class BagUse(NamedTuple):
             if high
         ]
         used = f"{self.seconds:.3g} s of {self.bag.duration:.3g} s in {counted(self.stretches, 'plateau')}"
-        return f"used {used}{', ' if ranges else ''}{', '.join(ranges)}{' rad/s' if ranges else ''}; {self.left_out}"
+        return f"used {', '.join([used, *ranges])}{' rad/s' if ranges else ''}; {self.left_out}"
 
     @property
     def left_out(self) -> str:

@@ -130,16 +130,12 @@ class SweepRows(NamedTuple):
     """The rows of sweeps.
 
     Attributes:
-        friction: rows of the elements in `elements`; its linear parameters are the errors of the inertial parameters,
+        friction: rows of the elements with a law; its linear parameters are the errors of the inertial parameters,
             in units of `RigidArm.inertial_scale`.
-        elements: numbers of the elements with a law.
-        plateau: of each row, shape (r,).
         slopes: group of the rows that have the noise of the samples alone, for each row, shape (r,).
     """
 
     friction: FrictionRows
-    elements: Index
-    plateau: Index
     slopes: Index
 
 
@@ -193,7 +189,7 @@ def sweep_rows(blocks: Blocks, arm: RigidArm, elements: Index) -> SweepRows:
         block=plateau,
         prior=np.eye(joined.shape[1] - 1),
     )
-    return SweepRows(friction, elements, plateau, np.searchsorted(numbers, slopes))
+    return SweepRows(friction, np.searchsorted(numbers, slopes))
 
 
 def _shapes(count: int) -> Array:

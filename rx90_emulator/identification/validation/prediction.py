@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rx90_common.bags.mapping import is_table
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, interpolated, rms
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.kinematics import tip_position
 from rx90_common.friction import FrictionElement, FrictionSet
@@ -73,7 +73,7 @@ class TipDistance(NamedTuple):
     @property
     def rms(self) -> float:
         """Return the RMS distance, m."""
-        return float(np.sqrt(np.mean(self.distance**2)))
+        return rms(self.distance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,9 +325,7 @@ def _tip_distance(
     start = np.clip(record.position[first], setup.robot.lower, setup.robot.upper)
     identified = replace(setup, friction=FrictionSet(setup.friction.names, elements))
     run = run_along(identified, setpoint_rows(position, velocity, setup), start)
-    recorded = np.column_stack(
-        [np.interp(reference.time, record.time, joint) for joint in record.position.T]
-    )
+    recorded = interpolated(reference.time, record.time, record.position)
     chain = setup.robot.chain
     simulated = run.slow.joint_states[:, 0]
     distance = np.linalg.norm(

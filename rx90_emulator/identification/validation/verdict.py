@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 
 import numpy as np
 
@@ -123,9 +124,7 @@ def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorque
     compared[rows] = True
     reversal = np.zeros(recorded.shape, dtype=np.bool_)
     reversal[rows] = problem.reversal
-    names = tuple(
-        name for name, own in zip(problem.arm.names, identified.tolist(), strict=True) if own
-    )
+    names = tuple(compress(problem.arm.names, identified))
     bag = np.repeat([str(run.source.path) for run in runs], [len(run.rows) for run in runs])
     sources = {str(run.source.path): run.source for run in runs}
     torques = []
@@ -216,14 +215,18 @@ def torque_criteria(
     return all_joints, joint
 
 
-def verdict(source: object, words: tuple[str, str], *parts: Criterion | str) -> str:
+def verdict(
+    source: object,
+    words: tuple[str, str],
+    criteria: Sequence[Criterion],
+    remarks: Sequence[str] = (),
+) -> str:
     """Return one sentence: the bag, the verdict in the first or the second words, and the decisive criteria.
 
     Exceeded limits come first, because they decide.
     """
-    failed = [one.text for one in parts if isinstance(one, Criterion) and one.passed is False]
-    kept = [one.text for one in parts if isinstance(one, Criterion) and one.passed is True]
-    remarks = [one for one in parts if isinstance(one, str)]
+    failed = [criterion.text for criterion in criteria if not criterion.passed]
+    kept = [criterion.text for criterion in criteria if criterion.passed]
     if not failed:
         return f"{source}: {words[0]}: {'; '.join([', '.join(kept), *remarks])}"
     within = [f"within the limits {', '.join(kept)}"] if kept else []

@@ -167,8 +167,8 @@ def test_drives_and_friction_are_the_published_ones(tx40: Setup) -> None:
     assert viscous[:4].tolist() == [8.05, 5.53, 1.97, 1.11]
     assert viscous[4:6] + viscous[6] == pytest.approx([1.86, 0.65])
     assert viscous[6] == 0.616
-    assert tx40.controller.coulomb[:5].tolist() == coulomb[:5]
-    assert tx40.controller.viscous == pytest.approx([*viscous[:5], 0.65])
+    assert list(tx40.controller.feed_forward.coulomb_torque[:5]) == coulomb[:5]
+    assert tx40.controller.feed_forward.viscous_friction == pytest.approx([*viscous[:5], 0.65])
     assert tx40.friction.passivity_warnings(tx40.drives.turning.reach(tx40.robot.max_velocity)) == []
 
 

@@ -20,8 +20,7 @@ from rx90_common.base.models import FileModel, model_text, schema_at
 from rx90_common.base.quoting import quoted
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.configuration.check import kind_named
-from rx90_emulator.configuration.kinds import KINDS, FileKind
+from rx90_emulator.configuration.check import KINDS, FileKind, kind_named
 from tools import schemas
 
 WRONG = (None, "text", True, 7, -3.5, 0, -1e30, math.nan, math.inf, [], [1.0], [["text"]], {}, {"odd": 1})

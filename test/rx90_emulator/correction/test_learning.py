@@ -25,8 +25,7 @@ from rx90_emulator.correction.learning import (
     learn,
     run_corrected,
 )
-from rx90_emulator.correction.linearise import linearise
-from rx90_emulator.correction.methods import best_change, gains, response
+from rx90_emulator.correction.methods import best_change, gains, linearise, response
 from rx90_emulator.correction.precompensation import corrected_trajectory, travelled_error
 from rx90_emulator.correction.recorded import joints_of_bag, laid_under, learn_from_record, tip_of_file
 
@@ -79,7 +78,7 @@ def test_the_response_is_that_of_the_servo_loop(shipped: rx.Setup) -> None:
     half = np.triu(pin.crba(shipped.robot.model, shipped.robot.model.createData(), still[0, 0]))
     inertia = half + np.triu(half, 1).T + shipped.drives.rotor_matrix
     mass = np.linalg.inv(inertia)[0, 0] * controller.inertia[0]
-    kp, kv, t = controller.kp[0], controller.kv[0] * mass, np.arange(100) * 1e-3
+    kp, kv, t = controller.servo.kp[0], controller.servo.kv[0] * mass, np.arange(100) * 1e-3
     slow, fast = np.roots([1.0, kv, kp * kv]).real[::-1]
     expected = 1.0 + (fast * np.exp(slow * t) - slow * np.exp(fast * t)) / (slow - fast)
     assert rows == pytest.approx(expected, abs=0.06)
@@ -396,7 +395,7 @@ def test_derivatives_equal_differences_of_the_inverse_dynamics(shipped: rx.Setup
     """M0, C0 and K0 are the slopes of the torque, rotors, wrist coupling, gravity and spring included."""
     rng = np.random.default_rng(seed)
     state = np.stack([rng.uniform(-2.0, 2.0, 6), rng.uniform(-3.0, 3.0, 6), rng.uniform(-20.0, 20.0, 6)])
-    linear = linearise(shipped.robot, shipped.drives, *state[:, None])
+    linear = linearise(shipped, state[None])
     for ours, which in ((linear.stiffness, 0), (linear.damping, 1), (linear.mass, 2)):
         expected = slopes(shipped, state, which)
         np.testing.assert_allclose(ours[0], expected, rtol=0, atol=1e-6 * np.abs(expected).max())

@@ -14,12 +14,12 @@ import yaml
 from grip_arm import JOINTS, write_urdf
 from scipy.interpolate import BPoly
 
+import rx90_emulator as rx
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import DONE, REFUSED, IdentificationError
 from rx90_common.description.wall import Wall
 from rx90_common.description.workspace import Workspace
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification import excitation as identification
 from rx90_emulator.identification.excitation import identify_excitation
 from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.excitation import ExcitationSearch, plan_excitation
@@ -64,11 +64,11 @@ def test_a_run_keeps_every_limit(plan: tuple[Experiment, ...], motion: tuple[Arr
     assert np.all(np.abs(acceleration) <= 0.8 * controller.max_acceleration)
     # Some joint comes near to a limit: the motion is not safe by being small.
     assert np.abs(acceleration / controller.max_acceleration).max() > 0.75
-    most = np.abs(drives.gear) * drives.peak_torque
+    most, switch = np.abs(drives.gear) * drives.peak_torque, controller.feed_forward
     data, shares = robot.model.createData(), []
     for q, v, a in zip(*(one[::20] for one in motion), strict=True):
         motor = turns @ v
-        friction = np.sign(motor) * (controller.coulomb + controller.viscous * np.abs(motor))
+        friction = np.sign(motor) * (switch.coulomb_torque + np.multiply(switch.viscous_friction, np.abs(motor)))
         torque = pin.rnea(robot.model, data, q, v, a) + turns.T @ (drives.rotor_inertia * (turns @ a) + friction)
         assert np.all(np.abs(torque) <= 0.8 * robot.max_effort)
         shares.append(np.abs([motor / robot.max_velocity, np.linalg.solve(turns.T, torque) / most]))
@@ -255,7 +255,7 @@ def test_a_folder_of_excitation_runs_is_identified_as_such(
         seen.append(given)
         raise IdentificationError("enough")
 
-    monkeypatch.setattr(identification, "identify_excitation", refused)
+    monkeypatch.setattr(rx, "identify_excitation", refused)
     assert run("rx90 identify excitation", [str(tmp_path), "--output", str(tmp_path / "out")]) == REFUSED
     (given,) = seen
     assert (given[0], given[2]) == ((tmp_path / "excitation_1",), (tmp_path / "unseen",))  # type: ignore[index]

@@ -82,7 +82,7 @@ def identified(
     runs = (SimpleNamespace(bandwidths=bands, acceleration=done),)
     problem = SimpleNamespace(arm=arm, columns=columns, runs=runs)
     robot = SimpleNamespace(fallback_name=fallback, setup=None)
-    consistency, bags = SimpleNamespace(inertias=inertias), (("excitation", source),)
+    consistency, bags = inertias, (("excitation", source),)
     given = {"problem": problem, "robot": robot, "consistency": consistency, "elements": elements, "bags": bags,
              "compared": bands}  # fmt: skip
     ranges = ((0.05, 2.0),) * len(elements)

@@ -134,7 +134,7 @@ def test_what_cannot_be_run_is_refused(shipped: rx.Setup) -> None:
 def test_a_diverging_run_is_an_error(shipped: rx.Setup) -> None:
     """A run whose plant diverges ends with an error that names the joint, and the tick of stepping one by one."""
     # An amplifier without limits and a far too large gain drive the fourth joint apart.
-    kv = shipped.controller.kv * [1, 1, 1, 30, 1, 1]
+    kv = np.multiply(shipped.controller.servo.kv, [1, 1, 1, 30, 1, 1])
     loose = {"following_error": np.full(6, 1e9), "over_speed": 1e9}
     wild = unchecked(shipped.controller, servo={"kv": kv}, supervision=loose)
     drives = shipped.drives.replaced(motor={"peak_current": 1e6 * shipped.drives.peak_current})
@@ -166,7 +166,7 @@ def test_at_rest_the_torque_steps_by_no_more_than_one_count_of_the_position(ship
     )
     torque = shipped.drives.gear * run.fast.motor_commands[4000:]  # Nm at the joint, the last 0.5 s
     law, count = shipped.controller, 2 * math.pi / shipped.drives.encoder_counts / shipped.drives.gear
-    one_count = law.inertia * law.kv * law.kp * count
+    one_count = law.inertia * law.servo.kv * law.servo.kp * count
     assert np.all(np.abs(np.diff(torque, axis=0)).max(axis=0) <= 1.02 * one_count)
     assert np.any(np.abs(np.diff(torque, axis=0)).max(axis=0) > 0.1 * one_count)
 

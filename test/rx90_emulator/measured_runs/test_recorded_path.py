@@ -9,7 +9,7 @@ from pinocchio_chain import tip_place
 
 import rx90_emulator as rx
 from rx90_common.base.errors import BagError
-from rx90_controller.lines.plan import Approach, approached
+from rx90_controller.lines.plan import approached
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.recorded_setup import ends_in_motion
 from rx90_emulator.loop.run_messages import trajectory_message
@@ -29,7 +29,7 @@ def test_the_approach_counts_apart(shipped: Setup, tmp_path: Path, capsys: pytes
     plan = rx.plan_path(shipped, task)
     here = plan.start_pose + 0.05
     limits = shipped.controller.limits(shipped.robot)
-    line = approached(plan, here, limits, shipped.rates.position_period, Approach())
+    line = approached(plan, here, limits, shipped.rates.position_period, True)
     for name, duration in (("whole", line.duration), ("cut", line.duration - 3.0)):
         result = rx.simulate(shipped, line.points, here, duration)
         rx.write_bag(result, tmp_path / name)

@@ -128,7 +128,7 @@ def test_gains_change_between_two_ticks_and_the_rest_says_why_not(
     processes: Processes, client: Client, shipped: Setup, tmp_path: Path
 ) -> None:
     """What is safe changes at a position tick that topic and bag tell; from it on the torque is that of the new law."""
-    viscous = (shipped.controller.viscous * 0.5).tolist()
+    viscous = [0.5 * value for value in shipped.controller.feed_forward.viscous_friction]
     cell = processes.start(
         "rx90_cell",
         *("--ros-args", "-p", "rx90_sim:paused:=true", "-p", "rx90_sim:real_time_factor:=0"),
@@ -142,7 +142,7 @@ def test_gains_change_between_two_ticks_and_the_rest_says_why_not(
     recorder.wait_for("ready: all")
     client.spin_until(lambda: len(events) == 1, "the values at the start")
     told = {p.name: parameter_value_to_python(p.value) for p in events[0].new_parameters}
-    assert list(told["servo.kp"]) == shipped.controller.kp.tolist()
+    assert list(told["servo.kp"]) == list(shipped.controller.servo.kp)
     assert list(told["feed_forward.viscous_friction"]) == viscous
 
     # Refused, with what is accepted, and without effect.
@@ -185,4 +185,4 @@ def test_gains_change_between_two_ticks_and_the_rest_says_why_not(
     assert recorder.wait() == 0
     recorded = read_values(tmp_path / "bag")
     assert recorded["feed_forward.viscous_friction"] == viscous
-    assert recorded["servo.kp"] == shipped.controller.kp.tolist()
+    assert recorded["servo.kp"] == list(shipped.controller.servo.kp)

@@ -20,7 +20,7 @@ import rx90_emulator as rx
 from rx90_common.description.kinematics import tip_position
 from rx90_common.exchange.arm_watch import JointSample, NodeStatus, Trajectory
 from rx90_common.process.children import ChildProcess
-from rx90_controller.lines.plan import Approach, approached
+from rx90_controller.lines.plan import approached
 from rx90_emulator.view import live as live_module
 from rx90_emulator.view.live import LiveView
 from rx90_emulator.view.page import Page
@@ -171,7 +171,7 @@ def test_the_largest_is_that_of_the_run(shipped: rx.Setup, page: Page, of: str) 
     plan = rx.plan_path(shipped, task)
     limits = shipped.controller.limits(shipped.robot)
     here = plan.start_pose + 0.05
-    line = approached(plan, here, limits, shipped.rates.position_period, Approach())
+    line = approached(plan, here, limits, shipped.rates.position_period, True)
     run = rx.simulate(shipped, line.points, here)
     times, position = run.times[::10], run.slow.joint_states[::10, 0]
     expected = rx.path_accuracy(shipped.robot, task, times, position, line.approach)

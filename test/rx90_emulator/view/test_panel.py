@@ -20,7 +20,7 @@ from websockets.typing import Origin, Subprotocol
 import rx90_emulator as rx
 from rx90_common.exchange.arm_watch import ArmWatch, JointSample, NodeStatus
 from rx90_common.exchange.client_node import client_node
-from rx90_controller.lines.plan import Approach, LinePlan
+from rx90_controller.lines.plan import APPROACH_ACCELERATION, LinePlan
 from rx90_controller.lines.task import TOOL_DOWN, LineTask
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.view import live as live_module
@@ -258,7 +258,7 @@ def test_a_jog_is_as_short_as_speed_and_acceleration_allow(shipped: rx.Setup) ->
 
 def test_a_jog_in_mid_motion_is_as_gentle(shipped: rx.Setup) -> None:
     """Targets that are dragged to and fro, every 0.2 s, are taken, and accelerate the set-points like one move."""
-    limits, gentle = shipped.controller.limits(shipped.robot), Approach()
+    limits = shipped.controller.limits(shipped.robot)
     generator = TrajectoryGenerator(limits, 1e-3, ZERO)
     rng = np.random.default_rng(7)
     last, peak = 0, 0.0
@@ -269,7 +269,7 @@ def test_a_jog_in_mid_motion_is_as_gentle(shipped: rx.Setup) -> None:
         last = generator.accept(jog(position, velocity, target, limits), tick, None).end
         peak = max(peak, float(np.abs(generator.setpoints(tick, 200)[:, 2]).max()))
     # A move begins with the acceleration that the last one has there, which the page does not know.
-    assert 0.9 * gentle.acceleration < peak < 1.3 * gentle.acceleration
+    assert 0.9 * APPROACH_ACCELERATION < peak < 1.3 * APPROACH_ACCELERATION
     np.testing.assert_allclose(generator.setpoints(last, 1)[0, 0], target, atol=1e-12)
 
 

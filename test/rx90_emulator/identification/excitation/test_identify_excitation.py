@@ -18,7 +18,6 @@ from two_joints import CURVES, NAMES, NOISE, RATE, Bench, fourier
 
 import rx90_emulator as rx
 from rx90_common.base.errors import REFUSED, VERDICT_NO
-from rx90_emulator.identification import excitation as identification
 from rx90_emulator.identification.output.report import check_page
 from rx90_emulator.identification.output.summary import validation_verdict
 from rx90_emulator.identification.result import ExcitationIdentification
@@ -62,7 +61,7 @@ class Outcome:
 
 @pytest.fixture(scope="module")
 def outcome(bench: Bench) -> Outcome:
-    folder, kept, identify = bench.folder / "identified", [], identification.identify_excitation
+    folder, kept, identify = bench.folder / "identified", [], rx.identify_excitation
 
     def kept_result(*arguments: Any, **options: Any) -> ExcitationIdentification:
         kept.append(identify(*arguments, **options))
@@ -71,7 +70,7 @@ def outcome(bench: Bench) -> Outcome:
     bags = ["excitation", bench.folder / "run", "--validation", bench.folder / "unseen", bench.folder / "stiff"]
     out, err = io.StringIO(), Terminal()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-        patch.setattr(identification, "identify_excitation", kept_result)
+        patch.setattr(rx, "identify_excitation", kept_result)
         code = bench.identify(*bags, "--output", folder)
     return Outcome(code, folder, out.getvalue(), err.getvalue(), kept[0])
 
@@ -137,7 +136,7 @@ def test_folder_holds_the_arm(bench: Bench, outcome: Outcome, check_report: Call
     elements = rx.FrictionFile.read(outcome.folder / "friction.yaml").elements
     position, velocity = fourier(9, 10.0)
     bare = drive_torque(model, np.eye(2), [STILL, STILL], (position, velocity), RATE)
-    rotors = outcome.result.consistency.inertias.rotors * np.gradient(velocity, 1.0 / RATE, axis=0)
+    rotors = outcome.result.consistency.rotors * np.gradient(velocity, 1.0 / RATE, axis=0)
     friction = np.column_stack([elements[name].steady_torque(velocity[:, k]) for k, name in enumerate(NAMES)])
     truth = bench.torque((position, velocity))
     difference = bare + rotors + friction - truth

@@ -18,7 +18,6 @@ from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.bodies import (
     FAR,
     BaseEstimate,
-    Consistency,
     ConsistentInertias,
     InertialPrior,
     central,
@@ -235,7 +234,7 @@ def test_bodies_far_from_the_base_parameters_are_warned_of(arm: Arm) -> None:
     estimate = arm.estimate(arm.mapping @ arm.truth, 0.5)
     for urdf, known, far in ((URDF, (), False), (with_fixed("tool", 90.0, 4.0), ("tool",), True)):
         inertias = consistent_inertias(estimate, InertialPrior.of_urdf(urdf, JOINTS, ROTORS, known=known))
-        said = Consistency(inertias, (0.01, 0.04))
+        said = inertias._replace(shares=(0.01, 0.04))
         assert (inertias.distance > FAR) == far == bool(said.warning)
         assert f"{inertias.distance:.2g} standard deviations" in said.text
         added = np.linalg.norm(arm.matrix @ (inertias.parameters - arm.truth)) / 0.5
