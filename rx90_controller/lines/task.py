@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from pydantic import Field
@@ -23,9 +23,6 @@ from rx90_common.description.rotations import (
     rpy_rotation,
     turn_between,
 )
-
-if TYPE_CHECKING:
-    from rx90_controller.paths.profile import LimitedProfile
 
 MARGIN_RANGE = (1e-3, 1.0)
 LONGEST_LINE = 10.0
@@ -153,6 +150,19 @@ class PathMotion(NamedTuple):
     acceleration: Array
 
 
+class Profile(Protocol):
+    """A motion along a path from rest to rest, as TrapezoidalProfile is one."""
+
+    @property
+    def duration(self) -> float: ...  # noqa: D102
+    @property
+    def peak_speed(self) -> float: ...  # noqa: D102
+    @property
+    def corners(self) -> Vector: ...  # noqa: D102
+    def sample(self, times: Array) -> PathMotion: ...  # noqa: D102
+    def speed_at(self, distance: Array) -> Array: ...  # noqa: D102
+
+
 @dataclass(frozen=True)
 class TrapezoidalProfile:
     """A motion from rest to rest; a triangle if the line is too short to reach the speed.
@@ -240,7 +250,7 @@ class TipTask(Protocol):
 
     @property
     def length(self) -> float: ...  # noqa: D102 - as LineTask's, all of them
-    def profile(self) -> TrapezoidalProfile | LimitedProfile: ...  # noqa: D102
+    def profile(self) -> Profile: ...  # noqa: D102
     def corners(self) -> Vector: ...  # noqa: D102
     def places(self, step: float, least: int) -> Array: ...  # noqa: D102
     def poses(self, distance: Array) -> Pose: ...  # noqa: D102

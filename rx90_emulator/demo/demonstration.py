@@ -99,7 +99,7 @@ class RunReport:
             topics=comparison.topics,
             friction=list(zip(setup.friction.names, setup.friction.elements, strict=True)),
             plots={
-                "path": path_error(self.path, self.path_without, SWITCHED_OFF, PATH_LIMIT),
+                "path": path_error(self.path, self.path_without),
                 "tracking": tracking(self.joints, self.error),
                 "friction": friction(self.friction),
             },
@@ -215,16 +215,20 @@ def _follow_clock(process: ChildProcess, duration: float) -> float:
     return float(simulated / elapsed)
 
 
-def path_error(recorded: PathAccuracy, without: PathAccuracy, name: str, limit: float) -> figure:
-    """Show the path error along the line as recorded, the one of a run called `name`, and a limit, m."""
+def path_error(recorded: PathAccuracy, without: PathAccuracy) -> figure:
+    """Show the path error along the line as recorded, the one of the run with which it is compared, and the limit."""
     shown = chart(
         "", "distance along the line, mm", "path error, mm", y_range=DataRange1d(start=0.0)
     )
-    shown.line(without.along * 1e3, without.perpendicular * 1e3, name=name, color=COLOURS[1])
+    shown.line(
+        without.along * 1e3, without.perpendicular * 1e3, name=SWITCHED_OFF, color=COLOURS[1]
+    )
     shown.line(
         recorded.along * 1e3, recorded.perpendicular * 1e3, name="recorded", color=COLOURS[0]
     )
-    shown.hspan([limit * 1e3], name="asked for laser welding", line_color=INK, line_dash="dashed")
+    shown.hspan(
+        [PATH_LIMIT * 1e3], name="asked for laser welding", line_color=INK, line_dash="dashed"
+    )
     return shown
 
 

@@ -389,7 +389,7 @@ def parameters_text(result: ExcitationIdentification) -> str:
         "validation": {Path(check.source).name: _validation(check) for check in result.validations},
         "bodies": {
             "distance": digits(bodies.distance),
-            "relative_error": digits(result.consistency.shares[1]),
+            "relative_error": digits(bodies.shares[1]),
         },
         "remarks": [
             *result.notes,

@@ -21,6 +21,7 @@ from rx90_common.friction import load_friction
 from rx90_controller.trajectory.motion import Motion
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments import nodes
+from rx90_emulator.identification.experiments import plan as plans
 from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.excitation import plan_excitation
 from rx90_emulator.identification.experiments.options import ExcitationOptions
@@ -233,7 +234,7 @@ def test_experiments_run_on_the_real_nodes(
     cell = processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:real_time_factor:=1.0")
     run_of_plan = plan_excitation(PlannedArm.from_setup(shipped), EXCITATION)[0][0]
     series = short_series(shipped)
-    monkeypatch.setattr(rx, "make_plan", lambda *_: [run_of_plan, *series])
+    monkeypatch.setattr(plans, "make_plan", lambda *_: [run_of_plan, *series])
     last_time, cut_off = nodes._last_time, [0.0]
 
     def too_early_once(bag: Path) -> float:

@@ -159,18 +159,19 @@ class Controller:
         r, dr = (n * (N @ x) for x in set_points(k))
         ddr = (n * (N @ set_points(k + 1)[1]) - dr) / (RATIO * T)
         e = r - theta
-        advanced = limit(self.integral + c.inertia / n**2 * c.ki * RATIO * T * e, c.servo.integrator_limit / n)
+        advanced = limit(self.integral + c.inertia / n**2 * c.servo.ki * RATIO * T * e, c.servo.integrator_limit / n)
         self.integral = np.where(e * self.sign > 0, self.integral, advanced)
-        pi = c.inertia / n**2 * c.kv * c.kp * e + self.integral
+        pi = c.inertia / n**2 * c.servo.kv * c.servo.kp * e + self.integral
         ramp = np.sign(dr / n) if self.literal else limit(dr / (n * c.feed_forward.coulomb_velocity), 1.0)
-        coulomb = c.coulomb / n * ramp
+        coulomb = c.feed_forward.coulomb_torque / n * ramp
         a = c.viscous_exponent
-        forward = c.inertia / n**2 * ddr + coulomb + c.viscous / np.abs(n) ** (1 + a) * np.sign(dr) * np.abs(dr) ** a
+        viscous = c.feed_forward.viscous_friction / np.abs(n) ** (1 + a) * np.sign(dr) * np.abs(dr) ** a
+        forward = c.inertia / n**2 * ddr + coulomb + viscous
         self.held, self.rate = pi + forward, np.zeros(6) if self.literal else dr
 
     def velocity_loop(self, w: Array) -> Array:
         c = self.c
-        wanted = (self.held + c.inertia / self.n**2 * c.kv * (self.rate - w)) / self.kt
+        wanted = (self.held + c.inertia / self.n**2 * c.servo.kv * (self.rate - w)) / self.kt
         self.sign = np.where(np.abs(wanted) > self.peak, np.sign(wanted), 0.0)
         gain = 1 - np.exp(-2 * np.pi * c.current_loop.bandwidth * T)
         self.current = self.current + limit(
