@@ -105,7 +105,6 @@ def test_refusals_leave_everything_as_it_was(generator: TrajectoryGenerator, ste
 
 def test_only_the_position_error_sees_it(shipped: Setup) -> None:
     """The offset is in the error and PI's torque, and in no feed-forward; none leaves every bit of the state."""
-    drives = shipped.drives
     setpoint = np.array([[0.1] * 6, [0.3] * 6, [1.0] * 6])
     states = []
     for row in (None, np.zeros(6), np.full(6, SIZE)):
@@ -116,7 +115,7 @@ def test_only_the_position_error_sees_it(shipped: Setup) -> None:
         states.append(controller.state.copy())
     plain, none, moved = states
     assert plain.tobytes() == none.tobytes()
-    gear = np.append(drives.gear[:5], 2.0 * drives.gear[5])  # motor 6 turns with joints 5 and 6
+    gear = shipped.drives.gear * [1, 1, 1, 1, 1, 2]  # motor 6 turns with joints 5 and 6
     assert moved["error"][0] - plain["error"][0] == pytest.approx(gear * SIZE)
     assert np.array_equal(moved["feed_forward"], plain["feed_forward"])
     assert np.array_equal(moved["reference"], plain["reference"])

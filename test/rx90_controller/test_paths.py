@@ -238,8 +238,7 @@ def test_the_engine_follows_a_circle(shipped: Setup, circle: Path) -> None:
     asked = ran.task.profile().sample(accuracy.times - begin).distance
     way = RADIUS * np.unwrap(np.arctan2(flat[:, 1], flat[:, 0]))
     np.testing.assert_allclose(np.array(accuracy.along_track)[middle], (way - asked)[middle], atol=1e-8)
-    again = path_accuracy(shipped.robot, ran.task, ran.times, ran.slow.joint_states[:, 0])
-    assert again.worst == accuracy.worst
+    assert path_accuracy(shipped.robot, ran.task, ran.times, ran.slow.joint_states[:, 0]).worst == accuracy.worst
     # The path that the set-points describe is the circle, whether they are known to be one or not.
     joints, setpoints = ran.slow.joint_states[:, 0], ran.slow.reference[:, 0]
     followed = followed_accuracy(shipped.robot, ran.times, joints, ran.times, setpoints)

@@ -4,8 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rx90_common.base.rates import Rates
 from rx90_common.exchange.endpoints import STATE_QOS, TICK_QOS, Listeners
 from rx90_common.exchange.pacing import Pacer, ThrottledLog
+from rx90_common.exchange.topics import TimeMode
 
 PERIOD = 0.00025
 
@@ -159,3 +161,10 @@ def test_who_is_gone_or_who_interrupts_is_not_waited_for() -> None:
     for _ in range(TICK_QOS.depth):
         waiting.tick_done()
     assert topic.now < before + 0.1
+
+
+def test_the_text_carries_mode_and_rates() -> None:
+    """What is written can be read, also where a robot's name has two words."""
+    for name in (None, "my arm"):
+        mode = TimeMode("free_running", Rates(8000, 2000), name)
+        assert TimeMode.parse(mode.text) == mode

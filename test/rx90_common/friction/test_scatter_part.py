@@ -49,6 +49,16 @@ def test_variance_and_autocorrelation() -> None:
     assert kstest(x[:: int(6 * time / lag)].ravel(), "norm").pvalue > 0.01
 
 
+def test_the_tick_does_not_enter() -> None:
+    """The decay over a tick is exp(-tick / time), and the kick keeps the variance at 1, for any tick."""
+    for period in (1e-4, 1e-3, 0.05):
+        for time in (0.01, 3.0, 1e5):
+            element = any_element(np.random.default_rng(0), scatter=ScatterPart(deviation=0.1, correlation_time=time))
+            scatter = Seven.of([element] * 7, period).parts["scatter"][0]
+            assert scatter["decay"] == pytest.approx(np.exp(-period / time), rel=1e-15)
+            assert scatter["kick"] == pytest.approx(np.sqrt(-np.expm1(-2.0 * period / time)), rel=1e-14)
+
+
 def test_the_start_is_drawn_from_what_the_walk_keeps() -> None:
     """Over 300 seeds the first factors are normal with deviation 1; elements and seeds differ."""
     starts = np.array(
