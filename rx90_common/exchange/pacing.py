@@ -15,7 +15,6 @@ from rx90_common.base.quoting import counted, one_line
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-_FORGIVEN = 0.1  # s behind that are caught up; more than that is given up, so that a stall is no burst of ticks
 _LINE_PERIOD = 5.0  # s
 _FORGOTTEN = 30.0  # s without a fault, after which it is a new one
 _NUMBER = re.compile(r"[-+]?\d[\d.e+-]*|\bnan\b|[-+]?\binf\b")
@@ -58,6 +57,7 @@ class Pacer:
         factor: simulated time per wall time; 0 does not wait at all.
         clock: the steady clock, s.
         sleep: waits for a number of seconds.
+        forgiven: s behind that are caught up; more than that is given up, so that a stall is no burst of ticks.
 
     Attributes:
         factor: the one of the last tick.
@@ -69,8 +69,11 @@ class Pacer:
         factor: float,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
+        *,
+        forgiven: float = 0.1,
     ) -> None:
         self._period = period
+        self._forgiven = forgiven
         self._clock = clock
         self._sleep = sleep
         self._next_factor = check_factor(factor)
@@ -109,7 +112,7 @@ class Pacer:
                 now = self._clock()
             if now - due > self._step:
                 counts.late += 1
-            if now - due > _FORGIVEN:
+            if now - due > self._forgiven:
                 counts.dropped += round((now - due) / self._step)
                 self._anchor = now
                 self._ticks = 0

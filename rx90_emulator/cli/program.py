@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rx90_common.base.errors import located
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import aligned, one_line, plain, quoted
 from rx90_emulator.cli.options import (
     POSITIVE,
@@ -230,15 +230,20 @@ def _readings(words: list[str]) -> Readings:
     """Return the readings, with those that were given."""
     from rx90_emulator.vplus.tree import Readings
 
-    readings = Readings()
+    given = {}
     for word in words:
         name, _, value = word.partition("=")
-        with located(f"--reading {quoted(word)}"):
-            try:
-                readings = readings.replaced(**{name: json.loads(value)})
-            except ValueError:
-                readings = readings.replaced(**{name: value})
-    return readings
+        if name not in Readings.model_fields:
+            raise ConfigError(
+                f"--reading {quoted(word)}; accepted: NAME=VALUE, of {', '.join(Readings.model_fields)}"
+            )
+        try:
+            given[name] = json.loads(value)
+        except ValueError:
+            raise ConfigError(
+                f"--reading {quoted(word)}; accepted: true, false or a number behind the ="
+            ) from None
+    return Readings().replaced(**given)
 
 
 SUBCOMMANDS = (

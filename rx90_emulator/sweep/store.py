@@ -25,7 +25,6 @@ import pyarrow.parquet as pq
 from rx90_common.base.arrays import Mask
 from rx90_common.base.errors import SweepError, write_error
 from rx90_common.base.quoting import aligned, counted
-from rx90_common.process.files import atomic_files
 from rx90_emulator.loop.parameters import SWITCH
 from rx90_emulator.sweep.sweep import RUN_COLUMNS, RunOutcome, Sweep
 
@@ -255,10 +254,15 @@ class ResultStore:
             ) from error
 
     def _write(self, table: pa.Table, target: Path) -> None:
-        with atomic_files(target) as (place,):
-            pq.write_table(table, place, compression="zstd", write_page_checksum=True)
-            with place.open("rb") as stream:
+        # Readers of the folder overlook names that begin with a dot.
+        temporary = self._parts / f".{target.name}"
+        try:
+            pq.write_table(table, temporary, compression="zstd", write_page_checksum=True)
+            with temporary.open("rb") as stream:
                 os.fsync(stream.fileno())
+            temporary.replace(target)
+        except OSError as error:
+            raise write_error(target, error) from error
 
 
 def describe_results(file: Path) -> list[str]:

@@ -249,7 +249,9 @@ def _delay(task: Task, seconds: float) -> Waits:
     """Let the arm stand for some seconds; it is a motion, and the program goes on meanwhile."""
     motion = _motion(task, task.queue.destination)
     motion.continuous = False
-    motion.profile = Profile(seconds * task.queue.monitor / 100.0, 1e-3, 1e-3)
+    duration = seconds * task.queue.monitor / 100.0
+    ramp = min(1e-3, duration / 4.0)  # of no way
+    motion.profile = Profile(duration, ramp, ramp)
     yield from _give(task, motion)
     if not motion.has_begun:
         yield from _end_of_stop(task)

@@ -49,6 +49,8 @@ _MOST_BYTES = 4096
 """In a beat."""
 _LOOK = 0.3
 """Time, s, after which an interrupt is looked for while no client is there."""
+_LATEST = 0.3
+"""Time that is made up for, s; a machine that is slower than that is slower than the wall clock."""
 _INTERRUPT = 3
 _ENDS = "\r\n", "\n\r"
 """Of a line, as pairs; half a pair is one, too."""
@@ -130,11 +132,11 @@ class Monitor:
 
     def _take_lines(self) -> None:
         """Take lines as commands and answers; a program with a unit has all of them, between its READs, too."""
-        while self._lines and not (self.is_busy or self._is_programs):
+        while self._lines and not (self.is_busy or self._program_has_line):
             self._go_on(self._line())
 
     @property
-    def _is_programs(self) -> bool:
+    def _program_has_line(self) -> bool:
         """Return whether a program has what is typed."""
         return self.program is not None and (self._reads or bool(self.task.units))
 
@@ -178,6 +180,8 @@ class Monitor:
         while self.cycles and not self.task.halted:
             if not self.task.frames:
                 self.task.call(*self.call)
+            if not self.task.frame.program.steps:
+                yield "the processor"  # for a program that is empty, time would stand still
             yield from self.task.run()
             self.cycles -= 1
 
@@ -361,7 +365,7 @@ def _proceed(monitor: Monitor, _: str) -> None:
 def _retry(monitor: Monitor, text: str) -> None:
     """Go on with the step that was interrupted."""
     _proceed(monitor, text)
-    monitor.task.frame.place -= 1
+    monitor.task.frame.place -= monitor.task.has_begun
 
 
 def _sure() -> Dialogue:
@@ -386,7 +390,10 @@ def _status(monitor: Monitor, _: str) -> Dialogue:
         return
     state = "running" if monitor.program is not None else "stopped"
     frames = monitor.task.frames
-    place = f"{frames[-1].program.name}  step {frames[-1].place}" if frames else monitor.call[0]
+    place = monitor.call[0]
+    if frames:
+        step = frames[-1].place + (not monitor.task.has_begun)
+        place = f"{frames[-1].program.name}  step {step}"
     yield f"Task 0  {state}  {place}"
 
 
@@ -464,6 +471,8 @@ def _switch(monitor: Monitor, text: str, word: str) -> Dialogue:
     name = [*known, text][0]
     if (word, name) == ("DISABLE", "POWER"):
         monitor.abort()
+        monitor.task.switches.discard("POWER")
+        return  # at once: no signal calls a program
     yield from _do(monitor, f"{word} {name}")
     if word == "ENABLE":
         yield ""
@@ -527,7 +536,7 @@ def serve(
     rate = _MOST_BYTES if baud is None else cell.period * baud / _BITS
     for terminal in _terminals(port, announce):
         output[:] = b"."
-        pacer = Pacer(cell.period, float(waits))
+        pacer = Pacer(cell.period, float(waits), forgiven=_LATEST)
         room = 0.0  # of bytes each way, with what is left of the beat before
         while True:
             pacer.wait()

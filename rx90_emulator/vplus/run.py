@@ -209,7 +209,7 @@ _COLUMNS = ["line", "motion", *_TIMES, "error mm", "null mm", "joints in degrees
 
 def table(run: ProgramRun) -> list[list[str]]:
     """Return the table of motions; null: how long it took behind the last set-point, how far it was off then."""
-    rows = [_COLUMNS]
+    rows = [[*_COLUMNS]]
     for motion in run.motions:
         taken = motion.ended - motion.began
         nulling = motion.settled - motion.ended

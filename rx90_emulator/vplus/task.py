@@ -46,6 +46,8 @@ _TYPES: Final[dict[str, Any]] = {
     "any": object,
 }
 """Types of the values that kinds of arguments stand for; all others are reals."""
+_SAID = {"truth": "real", "degrees": "real", "bits": "integer", "folded": "real or string"}
+"""What messages say in place of a kind."""
 _RANGES = {"percent": (0.001, 1000.0), "seconds": (0.0, 86_400.0), "joint": (1.0, 6.0)}
 _CONVERSIONS: Final[dict[str, Callable[[Any], Any]]] = {
     "integer": int,
@@ -126,6 +128,7 @@ class Task:
         units: that the program has; what is typed goes to it while it has one.
         frames: the programs within each other.
         step: the newest step.
+        has_begun: whether it has; if not, it waits for the processor.
     """
 
     def __init__(self, memory: Memory, cell: Cell) -> None:
@@ -152,6 +155,7 @@ class Task:
         self.units: set[float] = set()
         self.frames: list[Frame] = []
         self.step = Step()
+        self.has_begun = False
         self._steps = 0
 
     # Programs.
@@ -212,16 +216,16 @@ class Task:
         """Run until only so many programs are on their way; a motion may be under way then."""
         while len(self.frames) > depth:
             frame = self.frame
-            self._steps += 1
-            if self._steps * self.readings.step_time >= self.cell.period:
-                yield "the processor"
-                self._steps = 0
-            if frame.place >= len(
-                frame.program.steps
-            ):  # its end takes a step, too: an empty one may run without end
+            if frame.place >= len(frame.program.steps):
                 self.frames.pop()
                 continue
             self.step = frame.program.steps[frame.place]
+            self.has_begun = False
+            self._steps += 1
+            if self._steps * self.readings.step_time >= self.cell.period:
+                self._steps = 0
+                yield "the processor"
+            self.has_begun = True
             frame.place += 1
             try:
                 values = self.values(self.step)
@@ -360,7 +364,8 @@ class Task:
             return argument.name.upper()
         value: Any = self.value(argument)
         if not isinstance(value, _TYPES.get(name, float)):
-            raise VplusError("Illegal value", f"a {KINDS[type(value)]}; accepted: a {name}")
+            accepted = _SAID.get(name, name)
+            raise VplusError("Illegal value", f"a {KINDS[type(value)]}; accepted: a {accepted}")
         low, high = _RANGES.get(name, (None, None))
         if low is not None and not low <= value <= high:
             raise VplusError("Illegal value", f"{value:g} {name}; accepted: {low:g} to {high:g}")

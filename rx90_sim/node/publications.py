@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from rx90_sim.plant import Plant
 _SHORTEST_SAMPLED_PERIOD = 0.5 / SAMPLED_RATE
 
 
-@dataclass
+@dataclass(eq=False)
 class PeriodicMessage:
     """A message that is published every few ticks, to those who listen.
 
@@ -49,8 +49,8 @@ class PeriodicMessage:
     encode: Callable[[int], Any]
     least_gap: float = 0.0
     is_costly: bool = False
-    _due: float = 0.0  # s of the steady clock
-    _newest: Any = None
+    _due: float = field(default=0.0, init=False)  # s of the steady clock
+    _newest: Any = field(default=None, init=False)
 
     def publish_due(self, tick: int, stamp: int) -> None:
         """Publish the message of this tick, whose time is `stamp`, ns, if it is due."""

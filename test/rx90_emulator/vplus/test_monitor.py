@@ -56,6 +56,7 @@ NUMBER = r"\s+-?\d+\.\d{3}"
         (["where"], r"where\r\n +X .* Hand\r\n( +-?\d+\.\d{3}){7}\r\n +J1 .*\r\n( +-?\d+\.\d{3}){6}\r\n\."),
         (["speed 30.00"], r"speed 30.00\r\n\."),
         (["en po"], r"en po\r\n\r\n\."),
+        (["do delay 0.001"], r"do delay 0.001\r\n\."),
         (["LISTL hand.tool"], r"LISTL hand.tool\r\n +X/J1 .*\r\n\."),
         (
             ["do set hand.tool = trans(1, 2, 3)", "listl hand.tool"],
@@ -152,6 +153,23 @@ def test_a_program_asks_and_goes_on_where_it_stopped(talk: Talk) -> None:
     talk("do x = 5")
     assert "Ann 5 0\r\n\r\n*Program paused*" in talk("retry", 3)
     assert "end\r\n\r\nProgram completed" in talk("proceed", 3)
+
+
+def test_no_step_is_lost_or_done_twice_where_a_busy_program_is_stopped(talk: Talk) -> None:
+    """ABORT falls between two steps; PROCEED and RETRY both go on with the second, in a called program, too."""
+    for line in ("EDIT s", "c = c+1", "d = d+1", "e = e+1", "E", "EDIT p", "WHILE TRUE DO", "CALL s", "END", "E"):
+        talk(line)
+    talk("do c = 0")
+    talk("do d = 0")
+    talk("do e = 0")
+    talk("exec p", 1)
+    for word in ("retry", "proceed", "retry", "retry", "proceed", "retry", "retry", "retry"):
+        talk("abort")
+        talk("y")
+        c, d, e = (int(float(value)) for value in re.findall(r"= (\S+)", talk("listr c, d, e")))
+        assert c - 1 <= e <= d <= c
+        talk(word, 1)
+    assert e > 300
 
 
 def test_a_program_with_units_has_what_is_typed(talk: Talk) -> None:
