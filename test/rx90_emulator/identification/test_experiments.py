@@ -231,7 +231,7 @@ def test_experiments_run_on_the_real_nodes(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """The recorder's bag of a planned excitation run has the set-points and torques of the engine, to the bit."""
-    cell = processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:real_time_factor:=1.0")
+    cell = processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:real_time_factor:=2.0")
     run_of_plan = plan_excitation(PlannedArm.from_setup(shipped), EXCITATION)[0][0]
     series = short_series(shipped)
     monkeypatch.setattr(plans, "make_plan", lambda *_: [run_of_plan, *series])
