@@ -34,7 +34,7 @@ action: environment-run
 	@$(BIN)/python -m tools.interfaces
 
 # Exit code 1: it cannot be built here, and has said why; the tests that need it are skipped.
-# Two at once: a third one, while others wait for nodes that are paced by a clock, ends a minute sooner and takes half a minute more of the processor.
+# Two at once: with a third one it ends a minute sooner, but takes half a minute more of the processor.
 test: packages environment-dev
 	@$(BIN)/python -m tools.interfaces || [ $$? -eq 1 ]
 	@$(BIN)/python -m pytest -n 2 --dist worksteal --durations=10 $(ARGS)
