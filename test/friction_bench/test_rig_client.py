@@ -35,6 +35,7 @@ from friction_bench.rig.messages import (
 from friction_bench.rig.rig_file import Rig, load_rig
 from friction_bench.rig.serial_port import WRITE_TIMEOUT, SerialPort
 from rx90_common.base.errors import ConfigError
+from rx90_common.friction.parts.bristles import ElastoPlastic
 
 
 @pytest.mark.parametrize("bits", [16, 24])
@@ -152,6 +153,13 @@ def test_a_rig_file_of_no_rig_is_refused(file: str, old: str, new: str, message:
     own = rig_file_with(tmp_path, f"rig/{file}.yaml", {old: new})
     with pytest.raises(ConfigError, match=re.escape(message)):
         load_rig(own)
+
+
+def test_a_rig_file_s_joint_may_have_other_bristles_than_lugre_s(tmp_path: Path) -> None:
+    """The key `bristles` of its friction is the emulated joint's."""
+    text = "omega_d: 1.0, bristles: {kind: elasto_plastic, break_away: 0.7}}"
+    own = rig_file_with(tmp_path, "rig/gm8224_lugre.yaml", {"omega_d: 1.0}": text})
+    assert load_rig(own).emulation.joint.bristles == ElastoPlastic(break_away=0.7)
 
 
 def test_interrupted_ramp_is_stopped_by_the_host(client: RigClient, emulated: EmulatedRig) -> None:

@@ -93,8 +93,10 @@ def test_8051_clears_the_dac_within_microseconds_of_power_up(
 
 BOARD_MUTANTS = {
     "8051 stage upside down": ("greeting", "mcs51", "mcs51/hal_mcs51.c", "STAGE_OFF = !on", "STAGE_OFF = on"),
+    "8051 patient watchdog": ("watchdog", "mcs51", "core/rig_config.h", "WATCHDOG_TICKS 7u", "WATCHDOG_TICKS 12u"),
     "8051 edges in seven bits": ("runaway", "mcs51", "mcs51/hal_mcs51.c", "(uint8_t)(now - last", "0x7f & (now - last"),
     "AVR stage upside down": ("greeting", "avr", "avr/hal_avr.c", "    if (on)\n", "    if (!on)\n"),
+    "AVR patient watchdog": ("watchdog", "avr", "core/rig_config.h", "WATCHDOG_TICKS 7u", "WATCHDOG_TICKS 12u"),
     "AVR half a DAC": ("torque", "avr", "avr/hal_avr.c", "(PORTB & 0xf0) | (code >> 4)", "PORTB & 0xf0"),
 }
 

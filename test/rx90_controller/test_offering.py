@@ -141,6 +141,15 @@ def test_what_the_time_was_too_short_for_is_joined_again_beside_the_ticks(ways: 
     assert "accepted" in rig.around.lines[-1]
 
 
+def test_of_a_trajectory_that_has_begun_the_rest_is_followed(ways: Ways) -> None:
+    """As by joint_trajectory_controller: a stamp that is over leaves the points still to come; none: it is refused."""
+    ways.run(500)
+    for end, said in ((2.0, "accepted"), (0.4, "rejected: the last point is at 0.5 s, the controller's time is 0.5 s")):
+        ways.rig.loop.receive(message(ways.rig, 4, end, start=0.1))
+        assert said in ways.rig.around.lines[-1]
+    assert ways.rig.cs7b.trajectory.setpoints(2100)[0, 0] == pytest.approx([0.02] * 6)
+
+
 @pytest.mark.parametrize(
     ("option", "change", "refusal"),
     [
@@ -163,7 +172,7 @@ def test_options_of_goals_hold_for_the_topic(rig: Rig, option: str, change: str,
         given.points[0].positions, given.points[0].time_from_start = [0.5] * 6, SimpleNamespace(sec=0, nanosec=0)
     rig.loop.receive(given)
     assert rig.around.lines[-1].startswith(f"trajectory rejected: {refusal}")
-    rig.loop.options = GoalOptions(**{option: True})
+    rig.loop.change(options=GoalOptions(**{option: True}))
     rig.loop.receive(given)
     assert "accepted" in rig.around.lines[-1]
     held, velocity, _ = rig.cs7b.trajectory.setpoints(2000)[0]

@@ -78,6 +78,10 @@ class Bench:
         """Wait for a message of this stamp, s, or a later one: the answer to a step may come before it."""
         self.client.spin_until(lambda: bool(heard) and seconds(heard[-1]) >= newest, f"the message of {newest} s")
 
+    def set_points_from(self, begin: float, count: int) -> NDArray[np.float64]:
+        commanded = {round((seconds(message) - begin) * 1e3): message.position for message in self.heard()}
+        return np.array([commanded[k] for k in range(1, count + 1)])
+
     def velocities(self) -> NDArray[np.float64]:
         return np.array([message.velocity for message in self.heard()])
 

@@ -144,6 +144,8 @@ TWICE = (PLAIN.partition("header")[2], PLAIN.partition("header")[2].replace(": 0
         (HEADED, b"t,a,b\n", "log.csv: "),
         (HEADED, b"t,a,b\n0,1e999,2\n", "1 corrupt row, the first in line 2: column 2 is '1e999'; accepted: numbers"),
         (HEADED, b"t,a,b\n0,1,2\n1,2,3_0\n2,2,x\n", "2 corrupt rows, the first in line 3: column 3 is '3_0'"),
+        (HEADED, b"t,a,b\n0,1,2\n1,2,\n", "line 3: column 3 is ''; accepted: numbers"),
+        (HEADED, b"t,a,b\n0,1,\0\n", "line 2: column 3 is '\ufffd'; accepted: numbers"),
         (HEADED, b"t,a,b\n0,1,2\n1,2\n", "log.csv: 2 fields in line 3, others have 3; accepted: "),
         (HEADED, b't,a,b,c\n0,1,2,"x\n1,1,2,x\n', "a quotation mark without a second one in its line"),
         (HEADED, b"t,a,b\n,1,2\n", "line 2: column 1 is ''; accepted: times of 0 to 2147483648 s, or ISO 8601"),

@@ -110,13 +110,15 @@ def outside(shape: Any, points: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt((beyond**2).sum(axis=0)))
 
 
-def test_the_tool_can_be_hit(shipped: Setup) -> None:
-    """The tool has collision geometry: with the wrist bent back and the elbow folded it meets the arm."""
+def test_the_tool_can_be_hit(shipped: Setup, tx40: Setup) -> None:
+    """With the wrist bent back and the elbow folded it meets the arm; with a wrist as far bent alone nothing does."""
     shapes = Shapes(shipped)
     of_tool = [s for s in shapes.shapes.geometryObjects if s.name.startswith("tool_")]
     assert [2.0 * s.geometry.halfLength for s in of_tool] == pytest.approx([0.13, 0.04])
     assert [s.geometry.radius for s in of_tool] == [0.04, 0.016]
     assert shapes.overlapping([0.0, 0.0, 2.4, 0.0, 1.7, 0.0])
+    for arm, wrist in ((shapes, 2.0943), (shapes, -1.8325), (Shapes(tx40), 2.33), (Shapes(tx40), -2.094)):
+        assert arm.overlapping([0.0, 0.3, 0.9, 0.0, wrist, 0.0]) == set()
 
 
 def test_links_of_which_no_pair_is_checked_never_touch(setup: Setup, semantic: ET.Element) -> None:

@@ -160,7 +160,7 @@ def cycles(rng: np.random.Generator) -> tuple[Array, float]:
     ids=["load", "ripple", "scatter", "temperature", "curve", "together"],
 )
 def test_no_part_creates_energy(parts: tuple[FrictionPart, ...]) -> None:
-    """In every step of 10,500 random cycles the storage c0 z^2 / 2 grows by the work that goes in, or by less."""
+    """In every step of 10,500 random cycles the storage c0 z^2 / 2 grows by the work that goes in, less the heat."""
     rng = np.random.default_rng(8)
     for _ in range(ROUNDS):
         element = any_element(rng, **{NAMES[type(part)]: part for part in parts})
@@ -171,3 +171,5 @@ def test_no_part_creates_energy(parts: tuple[FrictionPart, ...]) -> None:
         given = torque * motion[:, 1] * step
         gained = np.diff(stored, axis=0, prepend=before[None]) - given
         assert (gained / seven.elements["tau_c"][0, 0]).max() < 1e-12  # J over Nm
+        if WARM in parts:
+            assert seven.states["temperature"]["heat"][0] == pytest.approx(-gained.sum(axis=0), rel=1e-9)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,9 @@ from hinge_arm import RATE, Hinge
 
 import rx90_emulator as rx
 from rx90_common.base.errors import DONE, REFUSED, ConfigError
+from rx90_common.estimation.law import Law, Part
 from rx90_emulator.cli.frame import run
+from rx90_emulator.identification.output.summary import kept_parts
 
 GEAR, CONSTANT, ZERO = -50.0, 0.08, 0.3
 Columns = dict[str, Any]
@@ -177,3 +180,13 @@ def test_tables_of_two_arms_are_refused(motor: Motor, tmp_path: Path) -> None:
     write_map(tmp_path / "b.yaml", gear=[GEAR + 1.0])
     with pytest.raises(ConfigError, match=r"b\.yaml says other things of the arm than .*a\.yaml"):
         rx.check_friction(motor.friction, tables, rx.RobotOptions(urdf=motor.urdf))
+
+
+def test_a_part_whose_values_stay_open_has_a_star() -> None:
+    """The element's name is marked."""
+    laws = [*[Law(frozenset({Part.EXPONENT}))] * 2, Law()]
+    known = [{"alpha": SimpleNamespace(identifiable=identifiable)} for identifiable in (True, False, False)]
+    elements = [SimpleNamespace(estimates=estimates) for estimates in known]
+    arm, fitted = SimpleNamespace(element_names="abc"), SimpleNamespace(laws=laws)
+    result: Any = SimpleNamespace(arm=arm, fitted=fitted, elements=elements)
+    assert kept_parts(result) == f"Coulomb + viscous + {Part.EXPONENT.value}: a, b*; * parameters stay open"

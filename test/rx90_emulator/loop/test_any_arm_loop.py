@@ -223,7 +223,7 @@ def test_a_motor_turned_round_changes_its_own_signs_and_nothing_else(
 
 
 def test_the_supervision_takes_it_too(shipped: rx.Setup, task: rx.LineTask) -> None:
-    """The power is cut at the same tick with the same words."""
+    """The power is cut at the same tick with the same words, where the error of a run without a limit goes beyond."""
     strict = shipped.controller.replaced(supervision={"following_error": np.full(6, 2e-5)})
     weak = dataclasses.replace(shipped, controller=strict)
     said = []
@@ -232,6 +232,9 @@ def test_the_supervision_takes_it_too(shipped: rx.Setup, task: rx.LineTask) -> N
             rx.run_line(setup, task)
         said.append(str(caught.value))
     assert said[0] == said[1]
+    error = rx.run_line(shipped, task).slow.tracking_error[:, 0]
+    tick, joint = np.argwhere(np.abs(error) > 2e-5)[0]
+    assert said[0].startswith(f"joint_{joint + 1}: following error {error[tick, joint]:.4g} rad at {tick / 1000:.6g} s")
 
 
 def test_the_tx40_stays_on_its_line(tx40: rx.Setup) -> None:

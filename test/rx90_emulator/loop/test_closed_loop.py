@@ -25,6 +25,7 @@ from tools.digests import committed, digests
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 HOME = np.array([0.1, 0.3, 1.1, -0.2, 0.7, 0.3])
 REST = np.zeros(6)
+REFERENCE = Path(__file__).parents[2] / "reference" / "reference_task"
 
 
 def there_and_back(size: float = 0.09) -> rx.TrajectoryPoints:
@@ -197,6 +198,14 @@ def test_the_fastest_motion_to_a_limit_stays_within_it(shipped: rx.Setup, joint:
     assert (states[:, 0] < robot.upper + 1e-3).all()
     assert (np.abs(states[:, 1]) < 1.01 * robot.max_velocity).all()
     assert np.abs(states[:, 1, joint]).max() > 0.99 * robot.max_velocity[joint]
+
+
+def test_a_new_run_equals_the_reference_bag(shipped: rx.Setup, tmp_path: Path) -> None:
+    """Every 20th message of joints, friction, references and errors is the reference bag's to the last bit."""
+    rx.write_bag(rx.run_line(shipped, rx.load_task()), tmp_path / "new", decimation=20)
+    comparison = rx.compare_bags(tmp_path / "new", REFERENCE)
+    assert comparison.verdict is rx.Verdict.SAME, rx.comparison_text(comparison)
+    assert len(comparison.topics) == 7
 
 
 def test_the_feed_forward_lasts_until_the_next_set_point() -> None:

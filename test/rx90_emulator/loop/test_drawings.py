@@ -62,6 +62,7 @@ REFUSED = {
     "no unit": ("p.csv", "1 2 3\n4 5 6\n", {}, "names no unit; accepted: with unit, one of m, mm"),
     "another unit": ("p.csv", "x [mm],y [mm],z [mm]\n1,2,3\n4,5,6\n", {"unit": "m"}, "is in mm, unit is m"),
     "an unknown unit": ("p.csv", "x [ft],y [ft],z [ft]\n1,2,3\n4,5,6\n", {"unit": "m"}, "units ft, ft, ft; accepted"),
+    "two units": ("p.csv", "x [mm],y [m],z [mm]\n1,2,3\n4,5,6\n", {"unit": "m"}, "units mm, m, mm; accepted: one of"),
     "a gap": ("p.csv", "x [m],y [m],z [m]\n1,2,3\n4,,6\n", {}, "line 3 is '4, , 6'; accepted: finite numbers, x, y, z"),
     "not a number": ("p.csv", "# a\n\n1 2 nan\n", {"unit": "m"}, "line 3 is '1, 2, nan'"),
     "a column too much": ("p.csv", "1 2 3 4\n", {"unit": "m"}, "line 1 is '1, 2, 3, 4'; accepted"),
@@ -137,6 +138,10 @@ SPLINES = {
         [(0, 0, 0), (30, 0, 5), (60, 10, 0), (60, 10, 0), (60, 10, 0), (60, 40, 0), (20, 60, 0)],
         3, [0, 0, 0, 0, 1, 2, 3, 4, 4, 4, 4], None, 1,
     ),
+    "uneven knots": (
+        [(0, 0, 0), (5, 40, 0), (10, -40, 0), (15, 40, 0), (200, 0, 0), (250, 50, 0), (334, 0, 0)],
+        3, [0, 0, 0, 0, 0.01, 0.02, 50, 50.5, 50.5, 50.5, 50.5], None, 0,
+    ),
     "weights": ([(0, 0, 0), (50, 0, 0), (50, 50, 0), (100, 50, 0)], 3, [0, 0, 0, 0, 1, 1, 1, 1], [1, 40, 40, 1], 0),
     "a cusp": ([(0, 0, 0), (100, 100, 0), (0, 100, 0), (100, 0, 0)], 3, [0, 0, 0, 0, 1, 1, 1, 1], None, 0),
     "a closed one with a corner where it begins": (
@@ -193,6 +198,7 @@ UNITS_OF_DRAWINGS = {
     "no header": ("", ""),
     "a header without a unit": ("  0\nSECTION\n  2\nHEADER\n  9\n$ACADVER\n  1\nAC1009\n  0\nENDSEC\n", ""),
     "no header, but a comment": ("999\n$INSUNITS\n", ""),
+    "feet": ("  0\nSECTION\n  2\nHEADER\n  9\n$INSUNITS\n 70\n     2\n  0\nENDSEC\n", "is in Feet; read in mm"),
     "centimetres": ("  0\nSECTION\n  2\nHEADER\n  9\n$INSUNITS\n 70\n     5\n  0\nENDSEC\n", "is in cm; read in mm"),
 }
 

@@ -177,6 +177,7 @@ def refused(processes: Processes, code: int, name: str, *words: str) -> str:
 @pytest.mark.parametrize(
     ("name", "argument", "accepted"),
     [
+        ("rx90_sim", "initial_position:=[0, 9, 0, 0, 0, 0]", ["joint_2", "9"]),
         ("rx90_sim", "real_time_facto:=1.0", ["real_time_facto is unknown", "real_time_factor", "step_ticks"]),
         ("rx90_cell", "paused:=true", ["paused is unknown to rx90_controller"]),
     ],

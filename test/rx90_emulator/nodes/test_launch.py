@@ -143,6 +143,7 @@ def test_a_node_that_ends_ends_the_launch_with_its_code(
 XACRO, LAUNCH = config_path("ros2_control/rx90.ros2_control.xacro"), "ros2_control.launch.py"
 CONTROLLERS = yaml.safe_load(config_path("ros2_control/controllers.yaml").read_text(encoding="utf-8"))
 PERIOD = 1.0 / CONTROLLERS["controller_manager"]["ros__parameters"]["update_rate"]
+BANDWIDTH = 2.0 * math.pi * 5.0  # rad/s, for a loop that is closed at 250 Hz over topics
 
 
 def description(mode: str, **more: str) -> ET.Element:
@@ -217,6 +218,29 @@ def manage(client: Client, hardware: TopicHardware, until: Callable[[], bool], u
         hardware.read()
         update()
         hardware.write()
+
+
+def test_efforts_of_the_hardware_drive_the_arm(processes: Processes, client: Client) -> None:
+    """Stamped by its own clock, at 250 Hz; NaN before a controller writes keeps the brakes closed and is one line."""
+    words = ("time_mode:=free_running", "-p", "command_interface:=joint", "-p", "command_rate:=250")
+    simulation = processes.start("rx90_sim", "--ros-args", "-p", *words)
+    hardware = TopicHardware(client.node, ET.tostring(description("effort"), encoding="unicode"))
+    first = ("joint_1", "position")
+    manage(client, hardware, lambda: hardware.published > 100 and math.isfinite(hardware.state[first]), lambda: None)
+    assert abs(hardware.state["joint_2", "position"]) < 1e-3  # held by its brake
+    goal = hardware.state[first] + 0.05
+    hold = {name: hardware.state[name, "position"] for name in JOINTS} | {"joint_1": goal}
+
+    def follow() -> None:
+        for name, inertia in zip(JOINTS, (12.0, 15.0, 3.5, 0.35, 0.29, 0.04), strict=True):  # joint side, kg m^2
+            error = hold[name] - hardware.state[name, "position"]
+            torque = BANDWIDTH * error - 1.4 * hardware.state[name, "velocity"]
+            hardware.command[name, "effort"] = inertia * BANDWIDTH * torque
+
+    manage(client, hardware, lambda: abs(hardware.state[first] - goal) < 0.01, follow)
+    for said in ("nan", "of another clock"):
+        assert len([line for line in simulation.lines if said in line]) == 1, simulation.output
+    simulation.wait_for("no command on /joint_commands for 0.1 s: torque off, brakes closed")
 
 
 def test_positions_of_the_hardware_are_followed(processes: Processes, client: Client) -> None:

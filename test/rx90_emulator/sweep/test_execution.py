@@ -142,13 +142,14 @@ def test_resuming_completes(tmp_path: Path, sweep: Sweep, expected: pa.Table) ->
     [
         ("friction.*.c1", True, (1.0, 1e7), "ConfigError: friction.joint_6.c1 is 5e+07 Nm s/rad"),
         ("controller.following_error[1]", False, (0.05, 1e-6), "SupervisionError: joint_2: following error"),
+        ("controller.start_tolerance", False, (1e-3, 0.0), "TrajectoryError: point 0"),
         ("task.end[0]", False, (0.604, 3.0), "LineError: the line cannot be travelled at"),
     ],
 )
 def test_a_failing_run_is_a_row(
     tmp_path: Path, task_file: Path, path: str, factor: bool, values: tuple[float, ...], said: str
 ) -> None:
-    """A bad value, a drive fault, a line out of reach end their own run alone."""
+    """A bad value, a drive fault, a refused trajectory, a line out of reach end their own run alone."""
     swept = {"paths": [path], "factor" if factor else "value": values}
     blocks = {"a": {"grid": {"swept": swept}}}
     sweep = Sweep(SweepPlan.model_validate({"blocks": blocks, "base": {"task": str(task_file)}}))

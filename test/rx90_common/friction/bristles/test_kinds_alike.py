@@ -11,6 +11,7 @@ from signed_element import ELEMENT
 from benchmarks.bristles import driven_mass, led
 from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 
 FLAT = FrictionElement(tau_c=25.0, tau_s=25.0, omega_s=0.05, delta=1.0, c0=1e5, c1=100.0, c2=0.0)
@@ -44,6 +45,14 @@ def test_no_kind_creates_energy(bristles: BristlesPart | None) -> None:
         dissipated = torque * velocity * step - np.diff(stored, prepend=0.0)
         assert np.all(dissipated >= -1e-12 * (np.abs(torque * velocity * step) + stored))
         assert np.sum(dissipated) > 0.0
+
+
+@each_kind
+def test_prescribed_motion_has_the_torque_of_the_kind(bristles: BristlesPart | None) -> None:
+    """What predicts torques along a measured motion has each kind's bristles, step by step."""
+    element, velocity = ELEMENT.replaced(bristles=bristles), np.random.default_rng(9).standard_normal(200)
+    torque = prescribed_torque((element,), velocity[:, None], np.full(200, STEP))[:, 0]
+    assert torque == pytest.approx(led(element, velocity, STEP)[0], rel=1e-12)
 
 
 def order_on_a_mass(element: FrictionElement, bristles: ElastoPlastic | MaxwellSlip) -> tuple[float, Array]:

@@ -103,6 +103,9 @@ def test_verdict_is_that_of_the_unseen_runs(outcome: Outcome) -> None:
     assert good.fitted.total_share < 0.02
     assert bad.fitted.total_share > 0.1
     assert good.fitted.total_share < 1.05 * good.simplest.total_share
+    shares = [torques.total_share for check in (good, bad) for torques in (check.fitted, check.simplest, check.torque)]
+    assert all(f"{share:.1%}" in outcome.said for share in shares)
+    assert f" are assumed: torque RMS of all joints {bad.fitted.total_share:.2%} (limit 10%)" in outcome.said
     # A verdict that the files alone decide says so.
     alone = replace(good, torque=bad.torque)
     assert not alone.passed

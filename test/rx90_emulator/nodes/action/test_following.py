@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from action_bench import STEP, SUCCEEDED, Bench
+from action_bench import ABORTED, STEP, SUCCEEDED, Bench
 from numpy.typing import NDArray
 from ros_client import JOINTS, seconds
 
@@ -52,6 +52,50 @@ def test_a_goal_is_followed_and_told_of(bench: Bench) -> None:
         )
     bench.time.run(0.2)
     assert list(bench.heard()[-1].position) == pytest.approx([0.05] * 6, abs=1e-12)
+
+
+def test_ten_thousand_points(bench: Bench) -> None:
+    """A goal of 10,000 points is followed through all of them; so is a trajectory on the topic, in the same bits."""
+    from action_client import goal, point
+    from trajectory_msgs.msg import JointTrajectory
+
+    times = np.arange(1, 10_001) * 1e-4
+    shape = 0.05 * (10 * times**3 - 15 * times**4 + 6 * times**5)  # at rest at both ends
+    speed = 0.05 * (30 * times**2 - 60 * times**3 + 30 * times**4)
+    speed[-1] = 0.0
+    points = [point(t, [q] * 6, [v] * 6) for t, q, v in zip(times, shape, speed, strict=True)]
+    topic = bench.client.node.create_publisher(JointTrajectory, "rx90_controller/joint_trajectory", 1)
+    passed = []
+    for by_topic in (False, True):
+        bench.home()
+        begin = bench.now + 0.1  # the client may not have heard of the last ticks
+        if by_topic:
+            bench.client.spin_until(lambda: topic.get_subscription_count() > 0, "the controller")
+            topic.publish(goal(*points, start=begin).trajectory)
+            bench.said("trajectory accepted: 10000 points")
+            bench.time.run(1.1 + 2 * STEP)
+        else:
+            assert bench.follow(goal(*points, start=begin)).status == SUCCEEDED
+        passed.append(bench.set_points_from(begin, 1000))
+    assert np.abs(passed[0] - shape[9::10][:, None]).max() < 1e-9
+    assert np.array_equal(*passed)
+
+
+def test_options_of_goals_are_parameters(bench: Bench) -> None:
+    """With its option a part of the joints, a last point that moves, or a first one elsewhere is a goal."""
+    from action_client import goal, point
+
+    for option, message in (
+        ("allow_partial_joints_goal", goal(point(0.3, [0.02] * 5), names=JOINTS[1:])),
+        ("allow_nonzero_velocity_at_trajectory_end", goal(point(0.3, [0.02] * 6, [0.1] * 6))),
+        ("allow_trajectory_replacement", goal(point(0.0, [9.0] * 6), point(0.3, [0.02] * 6))),
+    ):
+        bench.home()
+        assert bench.client.set_parameters("rx90_controller", **{option: True}) == [""]
+        assert bench.follow(message).status == SUCCEEDED
+        assert bench.client.set_parameters("rx90_controller", **{option: False}) == [""]
+        handle = bench.goals.send(message)
+        assert not handle.accepted or bench.time.until(bench.goals.result_of(handle)).status == ABORTED
 
 
 def test_speed_scaling_along_the_path(bench: Bench, acceleration: NDArray[np.float64]) -> None:

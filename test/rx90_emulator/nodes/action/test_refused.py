@@ -2,12 +2,18 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 from action_bench import ABORTED, CANCELED, STEP, SUCCEEDED, Bench
 from diagnostic_msgs.msg import DiagnosticArray
+from processes import TIMEOUT
+from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from ros_client import JOINTS
+from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
+
+from rx90_common.exchange.endpoints import ros_time
 
 pytestmark = pytest.mark.ros
 
@@ -80,6 +86,34 @@ def test_brakes_end_a_goal_and_refuse_the_next(bench: Bench) -> None:
         bench.client.enable(on)
     # It waits for the tick with which the torque comes back.
     assert bench.time.until(bench.goals.result_of(bench.goals.send(move(0.02, 0.3)))).status == SUCCEEDED
+
+
+def wave(time: float) -> list[float]:
+    return [0.02 * (1.0 - float(np.cos(4.0 * np.pi * time)))] * 6
+
+
+def test_stamped_set_points_are_passed_through_after_the_delay_bit_by_bit(bench: Bench) -> None:
+    """In lock-step each is met `stream.delay` after its stamp, and the same ones give the same bits again."""
+    publisher = bench.client.node.create_publisher(JointState, "rx90_controller/joint_setpoints", 20)
+    bench.client.spin_until(lambda: publisher.get_subscription_count() > 0, "the controller")
+    found, delay = [], 0.03
+    for _ in range(2):
+        bench.begin_anew()
+        begin = bench.now
+        for k in range(1, 20):
+            message = JointState(name=JOINTS, position=wave(k * STEP))
+            message.header.stamp = ros_time(round((begin + k * STEP) * 1e9))
+            publisher.publish(message)
+        assert publisher.wait_for_all_acked(Duration(seconds=TIMEOUT))
+        for _ in range(20):  # in the round in which it answers a request, its executor takes one waiting set-point
+            bench.client.known_to("rx90_controller")
+        bench.time.run(0.3)
+        found.append(bench.set_points_from(begin, 299))
+    bench.client.node.destroy_publisher(publisher)
+    due = [round((k * STEP + delay) * 1e3) - 1 for k in range(3, 19)]
+    assert np.abs(found[0][due] - [wave(k * STEP) for k in range(3, 19)]).max() < 1e-5
+    assert np.array_equal(*found)
+    assert "came" not in bench.cell.output.rpartition("stream begins")[2]
 
 
 BURST = 200
