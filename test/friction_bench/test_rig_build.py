@@ -23,7 +23,6 @@ UNITS = {"k": 1e3, "": 1.0}
 
 
 def parts(drawing: str) -> dict[str, float]:
-    """Return the resistors of a drawing by their names, ohm."""
     text = (ROOT / "docs/images" / drawing).read_text(encoding="utf-8")
     found = re.findall(r">(R\w+) ([\d.]+)(k| Ω)(?= |<)", text)
     return {name: float(value) * UNITS[unit.replace(" Ω", "")] for name, value, unit in found}
@@ -32,7 +31,6 @@ def parts(drawing: str) -> dict[str, float]:
 def test_drawn_parts_give_the_scales_and_the_voltages_of_the_checklist() -> None:
     """Ohm's law through both boards as drawn: the scales within 0.1 %, and what the page says to measure."""
     rig = load_rig(ROOT / "config/rig/gm8224.yaml")
-    assert rig.emulation is not None
     r, nano = parts("rig_8051.svg") | parts("rig_power.svg"), parts("rig_nano.svg")
     load = nano["R1"] + nano["R2"]
     half = (r["R15"] + r["R16"]) / (r["R14"] + r["R15"] + r["R16"])

@@ -141,7 +141,6 @@ def test_8051_ticks_are_exact_by_the_cycle(make_board: Callable[..., Any], firmw
     """15 ticks of the binary are 15 times 18,432 machine cycles, 20 ms, but for an interrupt's delay: no drift."""
     symbols = firmware("mcs51").with_suffix(".map").read_text()
     found = re.search(r"([0-9A-F]{8})\s+_hal_tick_number", symbols)
-    assert found is not None
     address = int(found[1], 16)
     board = make_board("mcs51")
     clocks, ticks = 12 * 18432, 15
@@ -172,7 +171,6 @@ def test_random_damage_never_moves_the_rig(target: str, make_board: Callable[...
         assert player.board.dac == 0
     player.do_beat(55)
     player.do_expect({"state": "ARMED", "fault": 0})
-    assert player.hello is not None
     assert PROCESSORS[player.hello.processor] == target
 
 

@@ -35,7 +35,6 @@ def test_garbage_disarms_once_and_is_survived(bench: Bench, monkeypatch: pytest.
     monkeypatch.setattr(link, "CALM", math.inf)  # trouble after a pause, which a busy machine may make, is the same
     bench.arm()
     client = bench.link.client
-    assert client is not None
     for _ in range(40):
         bench.say(bytes(range(1, 40)) + b"\0")
         time.sleep(0.005)

@@ -96,8 +96,6 @@ def test_velocity_is_constant_at_the_largest_torque(measured: Path) -> None:
     """The firmware holds the end torque, far above 0.18 Nm, for 1 s, in which the velocity no longer rises."""
     commands = read_joint_states(measured / "bag", "friction_bench/joint_commands")
     states = read_joint_states(measured / "bag", "friction_bench/joint_states")
-    assert commands.effort is not None
-    assert states.velocity is not None
     torque, velocity = commands.effort[:, 0], states.velocity[:, 0]
     assert torque.max() == pytest.approx(1.83, abs=0.004)
     first = np.flatnonzero(torque == torque.max())[:50]
@@ -126,7 +124,6 @@ def test_stage_goes_off_for_a_moment_in_each_tick_of_a_ramp() -> None:
     client.connect()
     heard: list[Any] = []
     record = run_ramp(client, 0.61, 0.61, False, "ramp", heard.append)
-    assert record.torque is not None
     assert record.torque.max() < 0.61 + 0.008
     ticks = sum(sample.report.dac > 0 for sample in heard)
     assert ticks == pytest.approx((1.0 + 1.0) / 0.02, abs=3)  # ramp and hold

@@ -35,7 +35,6 @@ def test_a_model_takes_the_files_beside(shipped_files: RobotFiles, edited_yaml: 
         (path.parent / source.name).write_bytes(source.read_bytes())
     law = load_controller(path)
     assert getattr(law.feed_forward, switch)
-    assert law.model is not None
     assert (law.model.path("friction"), law.model.path("tool")) == (path.parent / "friction.yaml", None)
 
 
@@ -47,7 +46,6 @@ def test_the_model_s_files_may_be_named(shipped_files: RobotFiles, edited_yaml: 
     block = {**shared, "tool": "none", "friction": "other.yaml", "note": "of another arm"}
     named = edited_yaml(shipped_files.controller, ("model",), block)
     model = load_controller(named).model
-    assert model is not None
     assert [model.path(role) for role in ("tool", "friction", "drives")] == [None, other, shipped_files.drives]
     said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, "friction": "nowhere.yaml"}))
     accepted = "a friction file: a path from this file's folder"

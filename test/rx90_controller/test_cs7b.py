@@ -225,7 +225,6 @@ def test_each_joint_has_its_limits(shipped: Setup, joint: int, quantity: str, si
     for _ in range(4):
         controller.step(1.001 * moved, 1.001 * rest)
     fault = controller.fault
-    assert fault is not None
     assert (fault.joint, fault.quantity) == (f"joint_{joint + 1}", quantity)
     assert fault.limit == pytest.approx(limit)
     # The error is the set-point less the measurement.

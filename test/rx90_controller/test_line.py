@@ -53,7 +53,6 @@ def test_the_branch_asked_for_is_kept(shipped: Setup, branch: Branch) -> None:
     plan = plan_line(robot, side)
     q = plan.position
     arm = SphericalWristArm.from_chain(robot.chain)
-    assert arm is not None
     assert np.all((q[:, 2] > 0) == (branch.elbow == "positive"))
     assert np.all((np.sin(q[:, 4]) > 0) == (branch.wrist == "positive"))
     assert np.all((arm.forward_reach(robot.chain, q) > 0) == (branch.shoulder == "front"))

@@ -230,7 +230,6 @@ def test_the_model_warms_by_its_friction_and_its_motors(shipped: Setup, tmp_path
     six = {"resistance": np.full(6, 1.3), "thermal_resistance": np.ones(6), "heat_capacity": np.full(6, 50.0)}
     winding = COLD.replaced(**six, derating=100.0, limit=130.0)
     controller, elements = parted(shipped, tmp_path, temperature=part)
-    assert shipped.controller.model is not None
     model = ArmModel(shipped.controller.model.constants.arm, elements, shipped.drives.replaced(winding=winding))
     model.fill(controller.law["model"][0], shipped.rates.position_period)
     ticks, drives = 4000, shipped.drives

@@ -82,7 +82,6 @@ class Program:
     rate: float
 
     def motion(self) -> tuple[Array, Array]:
-        """Return positions and velocities, shape (m, n)."""
         parts = []
         for pose in self.poses:
             for direction in np.array(self.directions):

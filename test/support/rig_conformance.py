@@ -137,7 +137,6 @@ class Player:
             self.millisecond()
 
     def do_tick(self, _: None) -> None:
-        """Wait for a report: the tick was about 10 ms ago."""
         known = len(self.reports)
         while len(self.reports) == known:
             self.do_beat(1)

@@ -23,9 +23,7 @@ class TopicHardware:
 
     def __init__(self, node: Node, urdf: str) -> None:
         system = ET.fromstring(urdf).find("ros2_control")
-        assert system is not None
         hardware = system.find("hardware")
-        assert hardware is not None
         assert hardware.findtext("plugin") == "joint_state_topic_hardware_interface/JointStateTopicSystem"
         given = {str(one.get("name")): str(one.text) for one in hardware.findall("param")}
         self._threshold = float(given.get("trigger_joint_command_threshold", _USUAL_THRESHOLD))

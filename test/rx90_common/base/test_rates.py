@@ -29,7 +29,6 @@ LAST = (1 << 31) * 10**9 - 1
 
 
 def message(stamp: int, order: Literal["little", "big"] = "little") -> bytes:
-    """Return a CDR message that begins with a stamp, ns."""
     seconds, nanoseconds = divmod(stamp, 10**9)
     flag = LITTLE_ENDIAN if order == "little" else bytes(4)
     return flag + seconds.to_bytes(4, order, signed=True) + nanoseconds.to_bytes(4, order) + b"rest"

@@ -24,7 +24,6 @@ def walk(parts: Record, states: Record, every: int, factors: Array) -> None:
 
 
 def factors_of(part: ScatterPart, seed: int, count: int, every: int = 1) -> Array:
-    """Return factors - 1 in deviations, shape (count, 7)."""
     element = any_element(np.random.default_rng(0), scatter=part)
     seven = Seven.of([element] * 7, PERIOD, seed)
     factors = np.empty((count, 7))

@@ -51,7 +51,6 @@ def assert_found(found: dict[str, Any], curve: Curve) -> None:
 
 
 def measured(torque: np.ndarray[Any, Any], seed: int) -> np.ndarray[Any, Any]:
-    """Return torques with noise, 0.3 % of their usual size."""
     rng = np.random.default_rng(seed)
     return np.asarray(torque + 3e-3 * torque.std(axis=0) * rng.normal(size=torque.shape))
 

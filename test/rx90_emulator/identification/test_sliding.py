@@ -242,7 +242,6 @@ def hinge(tmp_path_factory: pytest.TempPathFactory) -> RigidArm:
 
 
 def straight(velocity: Array) -> Array:
-    """Return Coulomb and viscous friction, Nm."""
     return np.asarray(5.0 * np.tanh(velocity / 1e-4) + 2.0 * velocity)
 
 

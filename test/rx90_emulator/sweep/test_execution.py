@@ -240,7 +240,6 @@ blocks:
 
 @pytest.fixture
 def plan_file(tmp_path: Path, task_file: Path, sweep: Sweep) -> Path:
-    """Return a plan that takes hours; the kernels are compiled."""
     del sweep
     file = tmp_path / "plan.yaml"
     file.write_text(ENDLESS.format(task=task_file), encoding="utf-8")

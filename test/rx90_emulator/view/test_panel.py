@@ -116,7 +116,6 @@ def test_who_has_the_code_moves_the_arm_and_nobody_else(
 
 
 def unlock(shown: BrowserPage, code: str) -> None:
-    """Type a code, as slowly as a person, and press the button."""
     shown.page.locator(FIELD.format("code")).first.fill(code)
     shown.page.wait_for_timeout(1000)  # of what is changed within 50 ms viser's client sends the last later
     shown.button("Unlock").click()

@@ -97,7 +97,6 @@ def test_the_seam_is_straight_and_as_accurate_as_the_same_line(shipped: Setup) -
     assert np.abs(1e3 * asked[:, [0, 2]] - [600, 270]).max() < 0.01
     assert [change.time for change in done.cell.changes] == [seam.began, seam.settled]  # BREAK waits for it
     assert 0.0 < seam.settled - seam.ended < 0.3
-    assert done.result is not None
     series = (done.result.slow.reference, done.result.slow.joint_states)
     ends = [flange(done.cell.arm.joints(rows[round(1e3 * seam.ended), 0])) for rows in series]
     tools = [place + 200 * rotation[:, 2] for rotation, place in ends]
@@ -308,7 +307,6 @@ def test_a_motion_behind_a_stop_begins_where_the_arm_stands(shipped: Setup) -> N
     for text, inputs in ((brake, []), (react, [Change(0.4, 1001, True)])):
         done = ran(shipped, text, *inputs)
         assert done.error is None
-        assert done.result is not None
         q = np.degrees(done.result.slow.reference[:, 0, 0])
         assert np.abs(np.diff(q)).max() < 0.125  # of 1 ms, at 118 deg/s
         assert q[-1] == pytest.approx(q[round(1e3 * done.motions[0].ended)] - 10.0, abs=0.01)
@@ -388,7 +386,6 @@ def test_the_yaw_of_a_tool_that_looks_down_stays_along_a_motion(shipped: Setup) 
     lines = "MOVE TRANS(500,-100,100,0,180,30)\nBREAK\nDECOMPOSE a[0] = HERE\nTYPE /F6.1, a[3], a[5], /E9.1, 0.002\n"
     done = ran(shipped, lines + "SPEED 100 MMPS\nMOVES TRANS(500,100,100,0,180,0)\nBREAK")
     assert shown(done) == ["   0.0  30.0  2.0E-03"]
-    assert done.result is not None
     numbers = np.array([six_numbers(done.cell.arm.flange(q)) for q in done.result.slow.reference[-2500:-300:50, 0]])
     assert np.abs(numbers[:, 3]).max() == 0.0
     assert (np.diff(numbers[:, 5]) < 1e-6).all()  # from 30 to 0

@@ -65,8 +65,6 @@ class UcsimBoard:
         self._console([])
 
     def _console(self, lines: list[str]) -> list[int]:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
         self._process.stdin.write("\n".join([*lines, MARK, ""]))
         self._process.stdin.flush()
         numbers = []
@@ -112,7 +110,6 @@ class UcsimBoard:
         *_, self._clock, self._dac, self._port3 = self._console(lines)
 
     def reset(self) -> None:
-        """Pull the reset pin; uCsim's reset leaves the clock running."""
         self._given = set()
         self._look(["reset"])
         self._target = float(self._clock)
