@@ -102,7 +102,8 @@ def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, c
     assert list(ended[-1].velocity) == [0.0] * 6
 
     # Disabled: commands without torque, drives without torque, and the arm does not fall.
-    client.spin_until(lambda: max(map(abs, joints[-1].effort)) > 10.0, "the drives to hold the arm")
+    client.spin_until(lambda: seconds(joints[-1]) > seconds(ended[-1]), "the arm after the end of the motion")
+    assert max(map(abs, joints[-1].effort)) > 10.0  # the drives hold the arm
     held = joints[-1].position[1]
     client.enable(False)
     client.spin_until(lambda: bool(commands) and len(commands[-1].effort) == 0, "commands without torque")
