@@ -22,7 +22,7 @@ import pinocchio as pin
 from scipy.integrate import solve_ivp
 
 from friction_bench.experiment.record import RampModel, RampRecord
-from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.arrays import Array, Mask, rms
 from rx90_common.kernels.compiled import kernel
 
 EXPERIMENT = "experiment"
@@ -232,9 +232,8 @@ def _pairs(velocities: dict[str, Array], slides: Mask) -> list[Pair]:
         difference = 100.0 * np.abs(velocities[first] - velocities[second]) / final
         worst = float(difference.max())
         sliding = float(difference[slides].max(initial=0.0))
-        rms = float(np.sqrt(np.mean(difference**2)))
         band = SOURCE_BANDS.get(frozenset((first, second)))
-        pairs.append(Pair(first, second, worst, rms, sliding, band))
+        pairs.append(Pair(first, second, worst, rms(difference), sliding, band))
     return pairs
 
 

@@ -15,7 +15,7 @@ from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.reading import JointBag, read_joint_bag
 from rx90_common.bags.recorded import START, TRAJECTORY, time_shift
 from rx90_common.bags.tolerance import Tolerances
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
@@ -284,8 +284,8 @@ def _incomparable(topic: str, reason: str) -> TopicComparison:
 class Alignment(NamedTuple):
     """Pairs of rows with equal stamps, in their order; `range_ns` is the stamps' common range."""
 
-    rows_a: NDArray[np.intp]
-    rows_b: NDArray[np.intp]
+    rows_a: Index
+    rows_b: Index
     stamp_ns: Int64Array
     range_ns: tuple[int, int]
     a: Side
@@ -316,7 +316,7 @@ def _side(single_ns: Int64Array, common: tuple[int, int]) -> Side:
     return Side(len(missing), first, len(single_ns) - len(missing))
 
 
-def _keys(series: JointSeries) -> tuple[NDArray[np.intp], NDArray[np.void]]:
+def _keys(series: JointSeries) -> tuple[Index, NDArray[np.void]]:
     """Return the rows that are no repetitions, by stamp, and their stamps and numbers among those with the same."""
     rows = np.arange(len(series.stamp_ns))
     if len(np.unique(series.stamp_ns)) < len(rows):

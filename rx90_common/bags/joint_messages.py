@@ -6,12 +6,11 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
 from rx90_common.bags.storage import BagTopic
 from rx90_common.bags.topics import FIELDS
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import counted, listed, quoted
 from rx90_common.base.rates import message_time_ns
@@ -30,7 +29,7 @@ class _Content(NamedTuple):
 class _Rows(NamedTuple):
     """Messages of one content: places among the topic's messages, stamps, and values (n, fields, joints)."""
 
-    place: NDArray[np.intp]
+    place: Index
     stamp_ns: Int64Array
     values: Array
 
@@ -85,9 +84,7 @@ class SeriesBuilder:
             )
         return built
 
-    def _keep(
-        self, content: _Content, place: NDArray[np.intp], stamp_ns: Int64Array, values: Array
-    ) -> None:
+    def _keep(self, content: _Content, place: Index, stamp_ns: Int64Array, values: Array) -> None:
         """Keep messages with those of the same joints, in the order of joints of the first one."""
         first, parts = self._sets.setdefault(frozenset(content.names), (content, []))
         if content.fields != first.fields:

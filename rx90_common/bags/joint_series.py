@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.bags.topics import FIELDS, quantities
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
@@ -79,7 +79,7 @@ class JointSeries:
         """Return header.stamp in s, float64 of shape (n,)."""
         return np.asarray(self.stamp_ns / NANOSECONDS, dtype=np.float64)
 
-    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> JointSeries:
+    def take(self, rows: Index | Mask | slice) -> JointSeries:
         """Return the series of these messages (an index, a mask or a slice)."""
         fields: dict[str, Any] = {field: values[rows] for field, values in self.fields.items()}
         return replace(self, stamp_ns=self.stamp_ns[rows], **fields)

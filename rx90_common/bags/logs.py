@@ -17,12 +17,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from rx90_common.bags.damage import library_errors, load_arrays
 from rx90_common.bags.joint_series import Int64Array, JointSeries
 from rx90_common.bags.mapping import DELIMITERS, TIME_UNITS, FieldColumns, LogMapping, mapping_of
 from rx90_common.bags.topics import absolute
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import BagError, located
 from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
@@ -35,7 +35,6 @@ _DECIMAL_COMMA = re.compile(r'(^|;)[\s"]*[+-]?\d*,\d+[\s"]*(;|$)')
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
 _NUMBER_OR_NONE = r"^[+-]?((?i:nan|inf|infinity)|(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?)$"
 _Columns = Mapping[int | str, Any]
-_Flags = NDArray[np.bool_]
 
 
 class _Table:
@@ -49,7 +48,7 @@ class _Table:
         self.count = len(next(iter(columns.values()), ()))
         self.lines = np.arange(1, self.count + 1) if lines is None else lines
 
-    def check(self, column: int | str, accepted: _Flags, words: str) -> None:
+    def check(self, column: int | str, accepted: Mask, words: str) -> None:
         """Refuse the rows whose cell in this column is not accepted."""
         corrupt = np.flatnonzero(~accepted)
         if len(corrupt):
@@ -100,7 +99,7 @@ def read_log(path: Path, mapping: LogMapping | None = None) -> list[JointSeries]
         return series
 
 
-def _values(table: _Table, field: FieldColumns, *, exact: bool) -> NDArray[np.float64]:
+def _values(table: _Table, field: FieldColumns, *, exact: bool) -> Array:
     values = np.empty((table.count, len(field.columns)))
     for k, column in enumerate(field.columns):
         numbers, accepted = _numbers(table.columns[column], table.decimal, exact=exact)
@@ -112,7 +111,7 @@ def _values(table: _Table, field: FieldColumns, *, exact: bool) -> NDArray[np.fl
     return values
 
 
-def _numbers(cells: Any, decimal: str, *, exact: bool) -> tuple[NDArray[np.float64], _Flags]:
+def _numbers(cells: Any, decimal: str, *, exact: bool) -> tuple[Array, Mask]:
     """Return the numbers of an array, or of texts, and which cells hold one."""
     if isinstance(cells, np.ndarray):
         return cells.astype(np.float64), np.ones(len(cells), dtype=np.bool_)

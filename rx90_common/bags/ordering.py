@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array
+from rx90_common.base.arrays import Index
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.cdr_stamps import ENCAPSULATION, STAMP_BYTES, cdr_stamps_ns
 
@@ -61,7 +62,7 @@ class Dated(NamedTuple):
     topic: Int64Array
     messages: NDArray[Any]
 
-    def take(self, rows: NDArray[np.intp]) -> Dated:
+    def take(self, rows: Index) -> Dated:
         """Return the messages of these rows."""
         return Dated(*(column[rows] for column in self))
 

@@ -8,14 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ExchangeError, MessageError
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange.cdr import JointStateCodec
@@ -84,7 +83,7 @@ class Trajectory(NamedTuple):
     begin: float
     times: Array
     position: Array
-    at_rest: NDArray[np.bool_]
+    at_rest: Mask
 
     @property
     def end(self) -> float:

@@ -33,8 +33,6 @@ def cdr_stamp_ns(cdr: bytes) -> int:
 
 def cdr_stamps_ns(messages: NDArray[np.uint8]) -> NDArray[np.int64]:
     """Return the times of equally long little-endian messages, shape (n, length), ns, shape (n,)."""
-    seconds = (
-        messages[:, ENCAPSULATION : ENCAPSULATION + 4].copy().view("<i4")[:, 0].astype(np.int64)
-    )
-    nanoseconds = messages[:, ENCAPSULATION + 4 : HEAD].copy().view("<u4")[:, 0].astype(np.int64)
-    return np.asarray(seconds * NANOSECONDS + nanoseconds)
+    stamps = messages[:, ENCAPSULATION:HEAD].copy().view([("sec", "<i4"), ("nanosec", "<u4")])[:, 0]
+    seconds = stamps["sec"].astype(np.int64)
+    return np.asarray(seconds * NANOSECONDS + stamps["nanosec"])

@@ -11,11 +11,11 @@ from collections.abc import Iterable, Mapping
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field, GetJsonSchemaHandler, ValidationError, model_validator
 from pydantic_core import CoreSchema
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.models import FileModel, JsonSchema, quantity, refusal, refusals, word_of
 from rx90_common.friction.parts.bristles import BRISTLES, LUGRE_PASSIVITY, Bristles
 from rx90_common.friction.parts.curve import CURVE, CurvePart
@@ -170,7 +170,7 @@ class FrictionElement(FileModel):
         """Return the element with all parts off."""
         return self.replaced(**dict.fromkeys(PARTS))
 
-    def sliding_torque(self, velocity: ArrayLike) -> NDArray[np.float64]:
+    def sliding_torque(self, velocity: ArrayLike) -> Array:
         """Return c0 g(v), equation 19, without a sign: the Stribeck curve less the viscous part, Nm."""
         v = np.asarray(velocity, dtype=np.float64)
         forward = v >= 0
@@ -183,12 +183,12 @@ class FrictionElement(FileModel):
             torque = part.sliding_torque(v, torque)
         return torque
 
-    def damping(self, velocity: ArrayLike) -> NDArray[np.float64]:
+    def damping(self, velocity: ArrayLike) -> Array:
         """Return c1(v), Nm s/rad."""
         with np.errstate(over="ignore"):
             return self.c1 * np.exp(-((np.asarray(velocity) / self.omega_d) ** 2))
 
-    def viscous_torque(self, velocity: ArrayLike) -> NDArray[np.float64]:
+    def viscous_torque(self, velocity: ArrayLike) -> Array:
         """Return c2 |v|^alpha sign(v), below LINEAR_SPEED the chord of it, Nm."""
         return viscous_torque(np.asarray(velocity, dtype=np.float64), self.c2, self.alpha)
 
@@ -202,7 +202,7 @@ class FrictionElement(FileModel):
         growth = sum(part.steepest for part in self.parts.values())
         return warm * rest, cold * rest + growth, cold * fast + growth
 
-    def steady_torque(self, velocity: ArrayLike) -> NDArray[np.float64]:
+    def steady_torque(self, velocity: ArrayLike) -> Array:
         """Return the torque after a long time at constant velocity, Nm (zero at rest)."""
         v = np.asarray(velocity, dtype=np.float64)
         return np.sign(v) * self.sliding_torque(v) + self.viscous_torque(v)
@@ -224,7 +224,7 @@ class FrictionElement(FileModel):
             low, high = (low, middle) if self._gives(middle) else (middle, high)
         return float(high)
 
-    def _gives(self, speed: ArrayLike) -> NDArray[np.bool_]:
+    def _gives(self, speed: ArrayLike) -> Mask:
         """Return at which speeds, rad/s, the element may give energy."""
         speed = np.asarray(speed, dtype=np.float64)
         return np.asarray(self.damping(speed) * speed >= self._least_dissipation(speed))
@@ -236,7 +236,7 @@ class FrictionElement(FileModel):
         with np.errstate(divide="ignore"):
             return float(np.min(self._least_dissipation(speed) / (speed * fading)))
 
-    def _least_dissipation(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _least_dissipation(self, speed: Array) -> Array:
         """Return 4 c0 g, Nm, or the bound of other bristles, with the sign and the parts that make it least."""
         weakest = self
         least = 1.0
@@ -255,7 +255,7 @@ class FrictionElement(FileModel):
         )
 
 
-def _speeds_up_to(largest: float) -> NDArray[np.float64]:
+def _speeds_up_to(largest: float) -> Array:
     """Return the speeds, rad/s, shape (n,), between which passivity is looked at."""
     return np.geomspace(1e-4 * min(1.0, largest), largest, 4000)
 

@@ -61,7 +61,9 @@ def _engine(options: Namespace) -> None:
 
 def _nodes(options: Namespace) -> None:
     """Serve the monitor of the arm of rx90_sim and rx90_controller until Ctrl-C."""
-    with cell_of_nodes("rx90_monitor", options) as cell:
+    from rx90_emulator.vplus.cell import PERIOD
+
+    with cell_of_nodes("rx90_monitor", options, (), PERIOD) as cell:
         _serve(options, cell, waits=False)
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import aligned, one_line, plain, quoted
@@ -142,8 +142,10 @@ def _nodes(options: Namespace) -> None:
 
 
 @contextmanager
-def cell_of_nodes(name: str, options: Namespace, *inputs_and_period: Any) -> Iterator[Cell]:
-    """Give the cell of the arm of running nodes to a client with a name."""
+def cell_of_nodes(
+    name: str, options: Namespace, inputs: Sequence[Change], period: float
+) -> Iterator[Cell]:
+    """Give the cell of the arm of running nodes to a client with a name; `period` of its beats, s."""
     setup = setup_of(options)
     from rx90_common.exchange.ros_start import prepare
 
@@ -154,7 +156,7 @@ def cell_of_nodes(name: str, options: Namespace, *inputs_and_period: Any) -> Ite
 
     with client_node(name, options.timeout, print, options.ros_args) as client:
         nodes = ProgramClient(client, options.node, setup.robot.joint_names)
-        cell = Cell(setup, nodes, *inputs_and_period)
+        cell = Cell(setup, nodes, inputs, period)
         cell.publish = nodes.signals(cell.receive)
         yield cell
 

@@ -11,7 +11,7 @@ import pinocchio as pin
 import viser
 from viser import transforms
 
-from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.arrays import Array, Mask, interpolated
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.rotations import length
 from rx90_common.description.shapes import VisualShape, drawn_shapes
@@ -93,9 +93,9 @@ def line_colors(error: Array) -> Array:
 
     Grey for NaN, off the line.
     """
-    places = np.arange(len(_ERROR_COLORS))
+    places = np.arange(len(_ERROR_COLORS), dtype=np.float64)
     share = np.clip(np.nan_to_num(error) / FULL_SCALE, 0.0, 1.0) * places[-1]
-    colors = np.stack([np.interp(share, places, channel) for channel in _ERROR_COLORS.T], axis=-1)
+    colors = interpolated(share, places, _ERROR_COLORS)
     colors[np.isnan(error)] = _OFF_LINE
     return np.round(255.0 * (colors / 255.0) ** _GAMMA).astype(np.uint8)
 

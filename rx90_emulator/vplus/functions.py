@@ -234,5 +234,4 @@ _STATE: Final[dict[str, Any]] = {
     "ERROR  integer": lambda task, _: task.error,
     "IOSTAT  integer": lambda *_: 1,
 }
-_WITHOUT_TASK = {words: _of_values(action) for words, action in _VALUES.items()}
-FUNCTIONS = entries(_WITHOUT_TASK | _STATE)
+FUNCTIONS = entries({words: _of_values(action) for words, action in _VALUES.items()} | _STATE)

@@ -250,7 +250,7 @@ def _delay(task: Task, seconds: float) -> Waits:
     motion = _motion(task, task.queue.destination)
     motion.continuous = False
     duration = seconds * task.queue.monitor / 100.0
-    ramp = min(1e-3, duration / 4.0)  # of no way
+    ramp = min(1e-3, duration / 4.0)  # any will do: there is no way
     motion.profile = Profile(duration, ramp, ramp)
     yield from _give(task, motion)
     if not motion.has_begun:
