@@ -5,18 +5,14 @@ The firmware's C core is built for this computer on first use; each rig has a co
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import hashlib
 import os
-import pty
-import select
 import shutil
 import subprocess
 import tempfile
 import threading
 import time
-import tty
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -24,6 +20,7 @@ from friction_bench.rig.messages import ResetCause, RigError, RigInputError
 from friction_bench.rig.plant import SLICE, RigPlant
 from friction_bench.rig.rig_file import CODES, Rig
 from rx90_common.base.share import share_directory
+from rx90_common.process.lines import PseudoTerminal
 
 SLICE_US = round(SLICE * 1e6)
 """Firmware and plant exchange DAC, ADC and encoder this often."""
@@ -209,16 +206,14 @@ class PtyRig:
         link: a path that shall point to the pseudo-terminal, replaced if it is a symbolic link already.
 
     Attributes:
-        path: what a serial program opens.
+        line: to the serial program.
+        path: what that opens.
     """
 
     def __init__(self, emulated: EmulatedRig, link: Path | None = None) -> None:
         self.emulated = emulated
-        self._master, self._slave = pty.openpty()
-        # Raw before anybody opens it, and held open here: a line without an opener would echo and lose bytes.
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self.path = os.ttyname(self._slave)
+        self.line = PseudoTerminal()
+        self.path = self.line.name
         self._link = link
         if link is not None:
             try:
@@ -244,7 +239,7 @@ class PtyRig:
         while not self._stop.is_set():
             behind = time.monotonic() - due
             if behind < SLICE:
-                select.select([self._master], [], [], 2 * SLICE)
+                time.sleep(SLICE - behind)
             if behind > _LONGEST_STEP:
                 due += behind - _LONGEST_STEP
                 behind = _LONGEST_STEP
@@ -256,12 +251,9 @@ class PtyRig:
 
     def _exchange(self, seconds: float) -> None:
         """Advance time, between reading the line and writing to it."""
-        with contextlib.suppress(OSError):
-            self.emulated.board.write(os.read(self._master, 4096))
+        self.emulated.board.write(self.line.read())
         self.emulated.advance(seconds)
-        # nobody reads: a full line loses bytes, as a real one does
-        with contextlib.suppress(OSError):
-            os.write(self._master, self.emulated.board.read())
+        self.line.write(self.emulated.board.read())
 
     def close(self) -> None:
         """End the rig: for its opener, this is an unplugged cable."""
@@ -274,6 +266,4 @@ class PtyRig:
             and str(self._link.readlink()) == self.path
         ):
             self._link.unlink(missing_ok=True)  # unless another rig has taken the name over
-        for descriptor in (self._slave, self._master):
-            with contextlib.suppress(OSError):
-                os.close(descriptor)
+        self.line.close()

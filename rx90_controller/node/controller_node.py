@@ -323,6 +323,8 @@ class Control:
             return DiagnosticStatus.WARN, "waiting for the simulation", values
         if not switch.active:
             return DiagnosticStatus.OK, "inactive", values
+        if not switch.on:
+            return DiagnosticStatus.OK, "torque off, brakes closed", values
         if state.stream is not None:
             return DiagnosticStatus.OK, "following a stream", values
         doing = "following a trajectory" if servo.moving else "holding"

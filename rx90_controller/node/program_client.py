@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from time import monotonic
 
+from diagnostic_msgs.msg import DiagnosticArray, KeyValue
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Int32MultiArray
@@ -15,7 +16,7 @@ from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.client_node import ClientNode
 from rx90_common.exchange.endpoints import LATCHED_QOS, ros_time
-from rx90_controller.node.trajectory_client import TrajectoryClient
+from rx90_controller.node.trajectory_client import TrajectoryClient, enable_request
 
 OUTPUTS = "outputs"
 INPUTS = "inputs"
@@ -31,10 +32,12 @@ class ProgramClient:
 
     Attributes:
         start: measured joint angles in the beginning, rad, shape (n,).
+        outage: why the arm has no torque, in the controller's words; empty while it has. They come once a second.
     """
 
     def __init__(self, client: ClientNode, controller: str, names: Sequence[str]) -> None:
         self._client = client
+        self._controller = controller
         self._names = list(names)
         trajectories = TrajectoryClient(client, controller)
         trajectories.wait_for_controller()
@@ -46,7 +49,10 @@ class ProgramClient:
         )
         self._arm = trajectories.arm(names)
         self.start = self._arm.position
+        self.outage = ""
+        client.node.create_subscription(DiagnosticArray, "/diagnostics", self._take_status, 20)
         self._began: float | None = None
+        self._sent = 0.0
 
     def position(self) -> Array:
         """Return the newest measured joint angles, rad, shape (n,)."""
@@ -55,6 +61,24 @@ class ProgramClient:
     def rest(self, _: float) -> Array:
         """Return the newest measured joint angles, rad, shape (n,): the controller holds the arm by itself."""
         return self.position()
+
+    def power(self, on: bool) -> None:
+        """Switch the torque on or off, and wait until the controller says so.
+
+        Raises:
+            ExchangeError: if it refuses, or does not answer.
+        """
+        request = enable_request(self._controller, on)
+        request.read(self._client.call(request.kind, request.service, request.request))
+        self._client.wait(lambda: on == (not self.outage), "the controller's word on the torque")
+        self._began = None  # the arm's time has gone on
+
+    def _take_status(self, message: DiagnosticArray) -> None:
+        name = self._client.node.resolve_service_name(self._controller).strip("/")
+        for status in message.status:
+            if status.name == name:
+                enabled = KeyValue(key="enabled", value="true") in status.values
+                self.outage = "" if enabled else f"{name}: {status.message}"
 
     def send(self, time: float, position: Array, velocity: Array) -> None:
         """Send a set-point for a simulated time from the first one on, s, and let the arm come to that time.
@@ -65,13 +89,15 @@ class ProgramClient:
         if self._began is None:
             before = self._arm.count
             self._client.wait(lambda: self._arm.count > before + 1, "the arm's time")
-            self._began = self._arm.time
+            self._began = self._arm.time - self._sent
+        self._sent = time
         stamp = self._began + time
         message = JointState(
             name=self._names, position=position.tolist(), velocity=velocity.tolist()
         )
         message.header.stamp = ros_time(round(stamp * NANOSECONDS))
-        self._targets.publish(message)
+        if not self.outage:
+            self._targets.publish(message)
         latest = monotonic() + self._client.timeout
         while self._arm.time < stamp:
             self._client.spin()

@@ -68,12 +68,12 @@ def _nodes(options: Namespace) -> None:
 
 
 def _serve(options: Namespace, cell: Cell, *, waits: bool) -> None:
+    from rx90_common.process.lines import PseudoTerminal, TcpLine
     from rx90_emulator.vplus.monitor import serve
 
-    def announce(line: str) -> None:
-        print(f"monitor of V+ on {line}", flush=True)
-
-    serve(cell, options.folder, announce, options.port, options.baud, waits=waits)
+    line = PseudoTerminal() if options.port is None else TcpLine(options.port, b".")
+    print(f"monitor of V+ on {line.name}", flush=True)
+    serve(cell, options.folder, line, options.baud, waits=waits)
 
 
 SUBCOMMANDS = (

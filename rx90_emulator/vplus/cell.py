@@ -69,9 +69,11 @@ class Drive(Protocol):
 
     Attributes:
         start: measured joint angles in the beginning, rad, shape (6,).
+        outage: why the arm has no power, in words; empty while it has.
     """
 
     start: Array
+    outage: str
 
     def send(self, time: float, position: Array, velocity: Array) -> None:
         """Go to joint angles, rad, with speeds, rad/s, until a time, s, and let that time come."""
@@ -81,6 +83,13 @@ class Drive(Protocol):
 
     def rest(self, time: float) -> Array:
         """Stand where the arm is from a time, s, on, its power cut; return its joint angles, rad, shape (6,)."""
+
+    def power(self, on: bool) -> None:
+        """Switch the power on or off.
+
+        Raises:
+            ExchangeError: if a node refuses, or does not answer.
+        """
 
 
 class Cell:
@@ -99,6 +108,7 @@ class Cell:
         publish: gets the outputs that are on, at the first beat and where they have changed since the last one.
         show: gets what TYPE shows, with its time, s, and whether a line ends behind it.
         ask: asks for a line of text with a question; gives None while there is none.
+        switches: system switches that are on.
         tolerance: of the position errors at the end of a motion, as a share of the arm's.
         beats: that have passed.
     """
@@ -114,6 +124,7 @@ class Cell:
         self.publish: Callable[[set[int]], None] = lambda _: None
         self.show: Callable[[str, float, bool], None] = lambda *_: None
         self.ask: Callable[[str], str | None] = input
+        self.switches = {"POWER", "CP", "ROBOT", "MESSAGES", "SCALE.ACCEL", "UPPER"}
         self.tolerance = 1.0
         self.beats = 0
         self._planned = list(inputs)
@@ -135,23 +146,44 @@ class Cell:
         """Let one beat pass.
 
         Raises:
-            VplusError: if the arm diverges, or the controller's supervision cuts the power; all motions are dropped.
+            VplusError: if the arm diverges, or its power is cut; all motions are dropped then.
             ExchangeError: if nodes are silent.
         """
         if self.outputs() != self._published:
             self._published = self.outputs()
             self.publish(self._published)
+        if self.drive.outage and "POWER" in self.switches:
+            self._cut()
+            raise VplusError("Robot power off", self.drive.outage)
         setpoint = self.queue.advance(self.period, self.time)
         try:
             self.drive.send((self.beats + 1) * self.period, *setpoint)
         except (SupervisionError, DivergenceError) as error:
-            self.queue.drop(self.drive.position())
+            self._cut()
             raise VplusError("Soft envelope error", f"at {self.time:.3f} s: {error}") from error
         self.beats += 1
         while self._planned and self._planned[0].time <= self.time:
             _, signal, on = self._planned.pop(0)
             self._on = self._on | {signal} if on else self._on - {signal}
         self.queue.begin_waiting(self.settled, self.time)
+
+    def _cut(self) -> None:
+        self.switches.discard("POWER")
+        self.queue.drop(self.drive.rest(self.time))
+
+    def power(self, on: bool) -> None:
+        """Switch the power on, or off: the motion under way ends then.
+
+        Raises:
+            ExchangeError: if a node refuses, or does not answer.
+        """
+        if on == ("POWER" in self.switches):
+            return
+        self.queue.stop()
+        self.drive.power(on)
+        if on:
+            self.queue.drop(self.drive.position())
+        self.switches ^= {"POWER"}
 
     def receive(self, on: set[int]) -> None:
         """Take the inputs that are on; the others are off."""
@@ -199,15 +231,17 @@ class Engine:
         self, setup: Setup, period: float = PERIOD, *, keep: bool = True, record_fast: bool = False
     ) -> None:
         self.start = ProgrammedArm(setup).ready
+        self.outage = ""
         self._setup = setup
         self._keep = keep
         self._record_fast = record_fast
         self._plant = setup.plant()
         self._law = setup.cs7b()
+        self._series: list[tuple[FastSeries, SlowSeries]] = []
+        self._knots: list[tuple[float, Array, Array]] = []
         self._reset(0.0, self.start)
         self._ticks = setup.rates.ticks_of(period)
         self._times = np.arange(0.0, period - 1e-9, setup.rates.position_period)
-        self._series: list[tuple[FastSeries, SlowSeries]] = []
 
     def position(self) -> Array:
         """Return the measured joint angles, rad, shape (6,)."""
@@ -219,10 +253,18 @@ class Engine:
         self._reset(time, np.clip(np.nan_to_num(self.position()), robot.lower, robot.upper))
         return self.position()
 
+    def power(self, _: bool) -> None:
+        """Do nothing: the servo holds the arm as its brakes would."""
+
     def _reset(self, time: float, q: Array) -> None:
         self._plant.reset(q)
         self._law.reset(self._plant.motor_states()[0])
-        self._knots = [(time, q, np.zeros(6))]
+        self._add(time, q, np.zeros(6))
+
+    def _add(self, *knot: Any) -> None:
+        self._last = knot
+        if self._keep:
+            self._knots.append(knot)
 
     def send(self, time: float, position: Array, velocity: Array) -> None:
         """Go to joint angles, rad, with speeds, rad/s, within the next beat.
@@ -232,8 +274,7 @@ class Engine:
             SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
         """
         rates = self._setup.rates
-        begin, start, speed = self._knots[-1]
-        self._knots.append((time, position, velocity))
+        begin, start, speed = self._last
         times = np.array([0.0, time - begin])
         positions = np.array([start, position])
         velocities = np.array([speed, velocity])
@@ -244,10 +285,9 @@ class Engine:
             self._ticks, rates.ratio, self._record_fast, arm=self._setup.drives.turning.size
         )
         run_setpoints(self._plant, self._law, np.ascontiguousarray(rows), self._ticks, *series)
+        self._add(time, position, velocity)
         if self._keep:
             self._series.append(series)
-        else:
-            del self._knots[0]
 
     def result(self) -> RunResult:
         """Return the run so far, as that of one trajectory."""

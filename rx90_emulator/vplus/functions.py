@@ -227,7 +227,7 @@ _STATE: Final[dict[str, Any]] = {
         task.cell.is_on(first + bit) for bit in range(min(count, 24))
     ),
     "TIMER  integer": lambda task, number: task.cell.time - task.timers.get(number, 0.0),
-    "SWITCH  name": lambda task, name: name in task.switches,
+    "SWITCH  name": lambda task, name: name in task.cell.switches,
     "SPEED  integer": _speed,
     "ACCEL  integer": lambda task, kind: task.always["UP" if kind == 1 else "DOWN"],
     "DURATION  integer?": lambda task, _=1: task.always["DURATION"],

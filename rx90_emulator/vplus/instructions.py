@@ -147,7 +147,7 @@ def _from_rest(action: Callable[..., Waits]) -> Callable[..., Waits]:
     """Return what a motion does when a stop that is under way has ended, and the place where it begins is known."""
 
     def act(task: Task, *arguments: Any) -> Waits:
-        if not task.switches & {"POWER", "DRY.RUN"}:
+        if not task.cell.switches & {"POWER", "DRY.RUN"}:
             raise VplusError("Robot power off")
         yield from _end_of_stop(task)
         yield from action(task, *arguments)
@@ -173,13 +173,13 @@ def _issue(task: Task, end: Array, **instead: float) -> Waits:
     chosen = {**task.next, **instead}
     task.next.clear()
     motion = _motion(task, end)
-    motion.continuous = chosen["CP"] != 0.0 and "CP" in task.switches
+    motion.continuous = chosen["CP"] != 0.0 and "CP" in task.cell.switches
     motion.nulls = chosen["NULL"] != 0.0
     motion.at_start = task.at_start
     task.at_start = []
     while True:
-        plan(task.arm, motion, chosen, "SCALE.ACCEL" in task.switches)
-        if "DRY.RUN" in task.switches:
+        plan(task.arm, motion, chosen, "SCALE.ACCEL" in task.cell.switches)
+        if "DRY.RUN" in task.cell.switches:
             return
         task.cell.tolerance = chosen["FINE"] / 100.0
         yield from _give(task, motion)
@@ -359,9 +359,15 @@ def _lock(task: Task, priority: float) -> None:
     task.lock = priority
 
 
-def _set_switches(task: Task, *names: str) -> None:
-    changed = task.switches.union if task.step.word == "ENABLE" else task.switches.difference
-    task.switches = changed(names)
+def _set_switches(task: Task, *names: str) -> Waits:
+    """Switch system switches on or off; the power comes when the arm stands."""
+    on = task.step.word == "ENABLE"
+    cell = task.cell
+    if "POWER" in names:
+        if on:
+            yield from _end_of_stop(task)
+        cell.power(on)
+    cell.switches = cell.switches.union(names) if on else cell.switches.difference(names)
 
 
 def _set_parameter(task: Task, value: Value, name: str) -> None:

@@ -6,12 +6,9 @@ wait for a beat. The dot is its question for the next command.
 
 from __future__ import annotations
 
-import os
+import math
 import re
-import select
-import socket
-import tty
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -22,6 +19,7 @@ from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import plain
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.process.files import write_all
+from rx90_common.process.lines import DeviceLine
 from rx90_emulator.vplus.cell import Cell
 from rx90_emulator.vplus.instructions import CONTROL, typed_numbers
 from rx90_emulator.vplus.program import global_variable, load_programs, parse, parse_line, read
@@ -47,8 +45,6 @@ _CALLED = re.compile(r"(?:/C\s*)?(?:\d\s+)?([^,(]+(?:\(.*\))?)\s*(?:,\s*(-?\d+).
 _LONGEST_LINE = 1000
 _MOST_BYTES = 4096
 """In a beat."""
-_LOOK = 0.3
-"""Time, s, after which an interrupt is looked for while no client is there."""
 _LATEST = 0.3
 """Time that is made up for, s; a machine that is slower than that is slower than the wall clock."""
 _INTERRUPT = 3
@@ -168,8 +164,6 @@ class Monitor:
         try:
             cell.advance()
         except VplusError as error:
-            cell.queue.drop(cell.drive.rest(cell.time))
-            self.task.switches.discard("POWER")
             self._end(f"{error.message} {error.detail}")
         except Rx90Error as error:  # of running nodes, which may come back
             self._end(f"*{error}*")
@@ -238,11 +232,14 @@ def _do(monitor: Monitor, text: str) -> Dialogue:
     _check_idle(monitor)
     depth = len(task.frames)
     task.frames.append(Frame(Program("do", steps=[step])))
+    lock = task.lock
+    task.lock = math.inf  # what the program reacts to waits until it goes on
     try:
         for _ in task.walk(depth):
             yield None
     finally:
         del task.frames[depth:]
+        task.lock = lock
 
 
 def _check_idle(monitor: Monitor) -> None:
@@ -349,6 +346,8 @@ def _execute(monitor: Monitor, text: str) -> None:
     task.frames = []
     task.halted = False
     task.units = set()
+    task.reactions = {}
+    task.lock = 0.0
     task.always.update(OF_EXECUTE)
     task.call(*call)
     monitor.call = call
@@ -471,7 +470,7 @@ def _switch(monitor: Monitor, text: str, word: str) -> Dialogue:
     name = [*known, text][0]
     if (word, name) == ("DISABLE", "POWER"):
         monitor.abort()
-        monitor.task.switches.discard("POWER")
+        monitor.task.cell.power(False)
         return  # at once: no signal calls a program
     yield from _do(monitor, f"{word} {name}")
     if word == "ENABLE":
@@ -512,66 +511,28 @@ COMMANDS: Final[dict[str, str | Command]] = {
 # The line.
 
 
-def serve(
-    cell: Cell,
-    folder: Path,
-    announce: Callable[[str], None],
-    port: int | None,
-    baud: int | None,
-    *,
-    waits: bool,
-) -> None:
+def serve(cell: Cell, folder: Path, line: DeviceLine, baud: int | None, *, waits: bool) -> None:
     """Serve the monitor until an interrupt.
 
     Args:
         cell: the arm, its signals and the time.
         folder: where LOAD and STORE find files.
-        announce: gets the name of the line, once it is there.
-        port: of TCP on this machine; None for a pseudo-terminal.
+        line: to the client.
         baud: pace of the line, bits a second; None for no pace.
         waits: whether the time of the cell waits for the wall clock here; that of running nodes does so by itself.
     """
     output = bytearray()
     monitor = Monitor(cell, folder, lambda text: output.extend(text.encode("latin-1", "replace")))
+    line.write(output)
+    output.clear()
     rate = _MOST_BYTES if baud is None else cell.period * baud / _BITS
-    for terminal in _terminals(port, announce):
-        output[:] = b"."
-        pacer = Pacer(cell.period, float(waits), forgiven=_LATEST)
-        room = 0.0  # of bytes each way, with what is left of the beat before
-        while True:
-            pacer.wait()
-            room = room % 1.0 + rate
-            most = int(room)
-            ready, free, _ = select.select([terminal], [terminal] if output else [], [], 0.0)
-            if ready and most:
-                try:
-                    data = os.read(terminal, most)
-                except OSError:
-                    data = b""
-                if not data:
-                    break
-                monitor.receive(data)
-            monitor.beat()
-            if free and most:
-                count = os.write(terminal, output[:most])
-                del output[:count]
-
-
-def _terminals(port: int | None, announce: Callable[[str], None]) -> Iterator[int]:
-    """Yield the file descriptor of the pseudo-terminal, or of each client that comes, until it has gone."""
-    if port is None:
-        terminal, user = os.openpty()
-        tty.setraw(user)
-        announce(os.ttyname(user))
-        yield terminal
-        return
-    with socket.create_server(("127.0.0.1", port)) as server:
-        announce(f"socket://127.0.0.1:{server.getsockname()[1]}")
-        server.settimeout(_LOOK)
-        while True:
-            try:
-                client, _ = server.accept()
-            except TimeoutError:
-                continue
-            with client:
-                yield client.fileno()
+    pacer = Pacer(cell.period, float(waits), forgiven=_LATEST)
+    room = 0.0  # of bytes each way, with what is left of the beat before
+    while True:
+        pacer.wait()
+        room = room % 1.0 + rate
+        most = int(room)
+        if most:
+            monitor.receive(line.read(most))
+        monitor.beat()
+        del output[: line.write(output[:most])]

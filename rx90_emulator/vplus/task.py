@@ -114,7 +114,6 @@ class Task:
         next: likewise, for the next motion: what was set for it alone, or for all.
         at_start: what the next motion does when it begins.
         wanted: of whether LEFTY, BELOW and FLIP, what was asked for, by their places among these.
-        switches: system switches that are on.
         tool: from the flange.
         base: where the robot stands.
         hand_time: s that the hand takes.
@@ -141,7 +140,6 @@ class Task:
         self.next = ChainMap({}, self.always)
         self.at_start: list[Callable[[], None]] = []
         self.wanted: dict[int, bool] = {}
-        self.switches = {"POWER", "CP", "ROBOT", "MESSAGES", "SCALE.ACCEL", "UPPER"}
         self.tool = SE3.Identity()
         self.base = SE3.Identity()
         self.hand_time = 0.05

@@ -66,7 +66,7 @@ class PatientRig(PtyRig):
 
     def _exchange(self, seconds: float) -> None:
         rig = self.emulated
-        if select.select([self._master], [], [], 0.0)[0]:
+        if select.select([self.line.device], [], [], 0.0)[0]:
             self._heard_at = rig.time
         elif self.patient and rig.board.stage_on and rig.time + seconds > self._heard_at + PATIENCE:
             return
@@ -80,7 +80,7 @@ class PatientRig(PtyRig):
     def hear(self, command: Command) -> None:
         decoder, heard = FrameDecoder(), False
         while not heard:
-            data = read_some(self._master)
+            data = read_some(self.line.device)
             self.emulated.board.write(data)
             heard = any(frame.type == command for frame in decoder.feed(data))
 
@@ -129,7 +129,7 @@ class Bench:
     def say(self, data: bytes) -> None:
         """Put bytes on the line from the rig's side; of two writers at the same time one would be turned away."""
         with self.pty.standing_still():
-            os.write(self.pty._master, data)
+            self.pty.line.write(data)
 
     def listen(self, count: int) -> None:
         heard = self.samples

@@ -1,5 +1,6 @@
 """A program of V+ on running nodes: the controller's arm moves, and signals are topics."""
 
+import socket
 from pathlib import Path
 
 import pytest
@@ -35,3 +36,33 @@ def test_a_program_moves_the_arm_of_running_nodes(processes: Processes, client: 
     program.wait_for("2 motions, cycle time")
     assert "s   -1 -1" in program.output
     assert "signal 3 on" in program.output  # who comes later hears the latest outputs alone
+
+
+def test_the_monitor_hears_of_torque_that_is_off_and_switches_it_on(processes: Processes, client: Client) -> None:
+    """Motions are refused until ENABLE POWER; then the arm moves from where it stands."""
+    processes.start("rx90_cell")
+    monitor = processes.start("rx90 monitor nodes", "--port", 0)
+    port = int(monitor.wait_for(r"127.0.0.1:(\d+)")[1])
+    with socket.create_connection(("127.0.0.1", port), timeout=60) as line:
+        stream = line.makefile("rwb", buffering=0)
+
+        def read(end: bytes) -> str:
+            shown = b""
+            while not shown.endswith(end):
+                shown += stream.read(1)
+            return shown.decode()
+
+        def command(text: str) -> str:
+            stream.write(text.encode() + b"\r")
+            return read(b"\r\n.")
+
+        read(b".")
+        client.enable(False)
+        assert "*Robot power off* rx90_controller: " in read(b"\r\n.")
+        assert "*Robot power off*" in command("do drive 1, 10, 50")
+        assert "*" not in command("enable power")
+        command("do drive 1, 10, 50")
+        command("do break")
+        assert float(command("where").split("\r\n")[4].split()[0]) == pytest.approx(10.0, abs=0.1)
+        assert "*" not in command("disable power")
+        assert "*Robot power off*" in command("do drive 1, 10, 50")

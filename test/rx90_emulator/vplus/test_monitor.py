@@ -7,11 +7,11 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from queue import Queue
 
 import pytest
 
 from rx90_common.base.errors import ExchangeError
+from rx90_common.process.lines import TcpLine
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.vplus.cell import Cell, Engine
 from rx90_emulator.vplus.monitor import Monitor, serve
@@ -218,7 +218,7 @@ def test_nodes_that_are_away_are_no_power_cut(shipped: Setup, tmp_path: Path, mo
         away.setattr(engine, "send", silent)
         monitor.beat()
     assert "*the arm's time stands still*" in "".join(shown)
-    assert "POWER" in monitor.task.switches
+    assert "POWER" in monitor.task.cell.switches
     monitor.beat()
 
 
@@ -238,6 +238,15 @@ def test_a_reaction_that_was_aborted_comes_again(talk: Talk) -> None:
         assert " 5\r\n" in talk("exec p", 3)
         talk("abort")
         talk("y")
+
+
+def test_a_reaction_of_a_stopped_program_waits_until_it_goes_on(talk: Talk) -> None:
+    """It answers no instruction of the monitor."""
+    for line in ("EDIT late", "TYPE 5", "E", "EDIT p", "SIGNAL -5", "REACT 5, late", "PAUSE", "TYPE 6", "E"):
+        talk(line)
+    talk("exec p", 3)
+    assert talk("do signal 5", 3) == "do signal 5\r\n."
+    assert " 6\r\n 5\r\n" in talk("proceed", 3)
 
 
 def test_the_arm_moves_again_behind_a_power_cut(shipped: Setup, tmp_path: Path) -> None:
@@ -261,11 +270,11 @@ def test_the_arm_moves_again_behind_a_power_cut(shipped: Setup, tmp_path: Path) 
 
 def test_a_client_talks_over_tcp(shipped: Setup, tmp_path: Path) -> None:
     """A relative motion along the tool is done while the client asks where the arm is."""
-    names: Queue[str] = Queue()
     cell = Cell(shipped, Engine(shipped, keep=False))
-    words = {"port": 0, "baud": 2400, "waits": True}
-    threading.Thread(target=serve, args=(cell, tmp_path, names.put), kwargs=words, daemon=True).start()
-    port = int(names.get(timeout=60).rpartition(":")[2])
+    served = TcpLine(0, b".")
+    words = {"waits": True}
+    threading.Thread(target=serve, args=(cell, tmp_path, served, 2400), kwargs=words, daemon=True).start()
+    port = int(served.name.rpartition(":")[2])
     with socket.create_connection(("127.0.0.1", port), timeout=30) as line:
         stream = line.makefile("rwb", buffering=0)
 
