@@ -15,7 +15,7 @@ from rx90_emulator.cli.options import (
 from rx90_emulator.cli.program import cell_of_nodes
 
 if TYPE_CHECKING:
-    from rx90_emulator.vplus.cell import Cell
+    from rx90_emulator.cabinet.cell import Cell
 
 _EPILOG = """\
 Without --port the line is a pseudo-terminal, whose name is printed; Ctrl-C ends. docs/reference/vplus.md has the
@@ -53,15 +53,19 @@ def _add_nodes(parser: ArgumentParser) -> None:
 def _engine(options: Namespace) -> None:
     """Serve the monitor of an arm in the closed loop without ROS until Ctrl-C."""
     # Here, because --help must not wait for it.
-    from rx90_emulator.vplus.cell import Cell, Engine
+    from rx90_emulator.cabinet.arm import ProgrammedArm
+    from rx90_emulator.cabinet.cell import PERIOD, Cell
+    from rx90_emulator.loop.stepped import SteppedLoop
 
     setup = setup_of(options)
-    _serve(options, Cell(setup, Engine(setup, keep=False)), waits=True)
+    arm = ProgrammedArm(setup)
+    loop = SteppedLoop(setup, arm.ready, PERIOD, keep=False)
+    _serve(options, Cell(arm, loop), waits=True)
 
 
 def _nodes(options: Namespace) -> None:
     """Serve the monitor of the arm of rx90_sim and rx90_controller until Ctrl-C."""
-    from rx90_emulator.vplus.cell import PERIOD
+    from rx90_emulator.cabinet.cell import PERIOD
 
     with cell_of_nodes("rx90_monitor", options, (), PERIOD) as cell:
         _serve(options, cell, waits=False)

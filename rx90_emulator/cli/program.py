@@ -26,8 +26,9 @@ from rx90_emulator.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from rx90_emulator.vplus.cell import Cell, Change
-    from rx90_emulator.vplus.run import Options, ProgramRun
+    from rx90_emulator.cabinet.cell import Cell, Change
+    from rx90_emulator.cabinet.record import ProgramRun
+    from rx90_emulator.vplus.run import Options
     from rx90_emulator.vplus.tree import Memory, Readings
 
 _EPILOG = """\
@@ -152,18 +153,19 @@ def cell_of_nodes(
     prepare()
     from rx90_common.exchange.client_node import client_node
     from rx90_controller.node.program_client import ProgramClient
-    from rx90_emulator.vplus.cell import Cell
+    from rx90_emulator.cabinet.arm import ProgrammedArm
+    from rx90_emulator.cabinet.cell import Cell
 
     with client_node(name, options.timeout, print, options.ros_args) as client:
         nodes = ProgramClient(client, options.node, setup.robot.joint_names)
-        cell = Cell(setup, nodes, inputs, period)
+        cell = Cell(ProgrammedArm(setup), nodes, inputs, period)
         cell.publish = nodes.signals(cell.receive)
         yield cell
 
 
 def _prepared(options: Namespace) -> tuple[list[Change], Memory]:
     """Return the changes of inputs, and the programs."""
-    from rx90_emulator.vplus.cell import load_inputs
+    from rx90_emulator.cabinet.cell import load_inputs
 
     inputs = [] if options.inputs is None else load_inputs(options.inputs)
     return inputs, _load(options)
@@ -203,8 +205,8 @@ def _chosen(options: Namespace) -> Options:
 def _end(run: ProgramRun, options: Namespace) -> None:
     """Show what a run did, write what was asked for, and raise the error that ended it, if one did."""
     from rx90_common.process.files import write_text
+    from rx90_emulator.cabinet.record import draw, page, table
     from rx90_emulator.loop.result import write_bag
-    from rx90_emulator.vplus.run import draw, page, table
 
     for change in run.cell.changes:
         print(f"{change.time:9.3f} s  signal {change.signal} {'on' if change.on else 'off'}")

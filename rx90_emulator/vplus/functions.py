@@ -14,10 +14,12 @@ from typing import Any, Final
 import numpy as np
 from pinocchio import SE3
 
+from rx90_emulator.cabinet.arm import Joints
+from rx90_emulator.cabinet.errors import NUMBERS, VplusError
+from rx90_emulator.cabinet.locations import X, Y, Z, frame, six, trans, turned
 from rx90_emulator.vplus.task import Task
-from rx90_emulator.vplus.transformations import X, Y, Z, frame, six, trans, turned
 from rx90_emulator.vplus.tree import Tree, entries
-from rx90_emulator.vplus.values import NUMBERS, Format, Joints, Value, Variable, VplusError
+from rx90_emulator.vplus.values import Format, Value, Variable
 
 _LARGEST_WIDTH = 128
 _SAME = 1e-3  # mm, and 1e-3 of a turn's matrix

@@ -12,12 +12,14 @@ import numpy as np
 from pinocchio import SE3
 
 from rx90_common.base.arrays import Array
+from rx90_emulator.cabinet.arm import CONFIGURATIONS, Joints
+from rx90_emulator.cabinet.errors import VplusError
+from rx90_emulator.cabinet.locations import aligned, six_numbers, trans
+from rx90_emulator.cabinet.plan import STRAIGHT, Motion, Profile, plan
 from rx90_emulator.vplus.functions import number_of, written
-from rx90_emulator.vplus.motion import CONFIGURATIONS, STRAIGHT, Motion, Profile, plan
 from rx90_emulator.vplus.task import Reaction, Task, Waits
-from rx90_emulator.vplus.transformations import aligned, six_numbers, trans
 from rx90_emulator.vplus.tree import Reference, Tree, entries
-from rx90_emulator.vplus.values import Joints, Value, Variable, VplusError, bounded
+from rx90_emulator.vplus.values import Value, Variable, bounded
 
 _UNITS = {"MMPS": 1.0, "IPS": 25.4}  # mm/s
 _NULL_TIME = 2.0  # s, until errors must be small

@@ -20,13 +20,15 @@ from rx90_common.base.quoting import plain
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.process.files import write_all
 from rx90_common.process.lines import DeviceLine
-from rx90_emulator.vplus.cell import Cell
+from rx90_emulator.cabinet.arm import Joints
+from rx90_emulator.cabinet.cell import Cell
+from rx90_emulator.cabinet.errors import VplusError
+from rx90_emulator.cabinet.locations import six_numbers, trans
 from rx90_emulator.vplus.instructions import CONTROL, typed_numbers
 from rx90_emulator.vplus.program import global_variable, load_programs, parse, parse_line, read
 from rx90_emulator.vplus.task import OF_EXECUTE, Frame, Task, Waits
-from rx90_emulator.vplus.transformations import six_numbers, trans
 from rx90_emulator.vplus.tree import Memory, Program
-from rx90_emulator.vplus.values import Joints, LoadError, Variable, VplusError, bounded
+from rx90_emulator.vplus.values import LoadError, Variable, bounded
 
 
 class Ask(str):

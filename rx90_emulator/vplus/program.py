@@ -16,9 +16,11 @@ from lark.exceptions import LarkError, UnexpectedInput
 from rx90_common.base.errors import ConfigError, warn_caller
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.text_lines import read_bytes
+from rx90_emulator.cabinet.arm import Joints
+from rx90_emulator.cabinet.errors import VplusError
+from rx90_emulator.cabinet.locations import trans
 from rx90_emulator.vplus.functions import FUNCTIONS, number_of
 from rx90_emulator.vplus.instructions import INSTRUCTIONS, REFUSED
-from rx90_emulator.vplus.transformations import trans
 from rx90_emulator.vplus.tree import (
     Entry,
     Function,
@@ -31,10 +33,8 @@ from rx90_emulator.vplus.tree import (
 )
 from rx90_emulator.vplus.values import (
     Format,
-    Joints,
     LoadError,
     Variable,
-    VplusError,
     bounded,
     element,
     plain_name,

@@ -17,16 +17,16 @@ import numpy as np
 from pinocchio import SE3
 
 from rx90_common.base.arrays import Array
-from rx90_emulator.vplus.cell import Cell
+from rx90_emulator.cabinet.arm import Joints
+from rx90_emulator.cabinet.cell import Cell
+from rx90_emulator.cabinet.errors import VplusError
 from rx90_emulator.vplus.tree import Function, Memory, Program, Reference, Step, Tree
 from rx90_emulator.vplus.values import (
     KINDS,
-    Joints,
     Scope,
     Table,
     Value,
     Variable,
-    VplusError,
     bounded,
     element,
     plain_name,

@@ -12,18 +12,25 @@ import pytest
 
 from rx90_common.base.errors import ExchangeError
 from rx90_common.process.lines import TcpLine
+from rx90_emulator.cabinet.arm import ProgrammedArm
+from rx90_emulator.cabinet.cell import PERIOD, Cell
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.vplus.cell import Cell, Engine
+from rx90_emulator.loop.stepped import SteppedLoop
 from rx90_emulator.vplus.monitor import Monitor, serve
 
 Talk = Callable[..., str]
+
+
+def cell_of(setup: Setup) -> Cell:
+    arm = ProgrammedArm(setup)
+    return Cell(arm, SteppedLoop(setup, arm.ready, PERIOD, keep=False))
 
 
 @pytest.fixture
 def talk(shipped: Setup, tmp_path: Path) -> Talk:
     """Return what types a line, lets beats pass until the monitor takes the next one, and returns what was shown."""
     shown: list[str] = []
-    monitor = Monitor(Cell(shipped, Engine(shipped, keep=False)), tmp_path, shown.append)
+    monitor = Monitor(cell_of(shipped), tmp_path, shown.append)
 
     def type_line(line: str, beats: int = 0, end: str = "\r\n") -> str:
         shown.clear()
@@ -208,14 +215,13 @@ def test_panic_and_speed_act_while_a_program_runs(talk: Talk, word: str) -> None
 def test_nodes_that_are_away_are_no_power_cut(shipped: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The monitor says what it does not hear, and goes on with its programs when they are back."""
     shown: list[str] = []
-    engine = Engine(shipped, keep=False)
-    monitor = Monitor(Cell(shipped, engine), tmp_path, shown.append)
+    monitor = Monitor(cell_of(shipped), tmp_path, shown.append)
 
     def silent(*_: object) -> None:
         raise ExchangeError("the arm's time stands still")
 
     with monkeypatch.context() as away:
-        away.setattr(engine, "send", silent)
+        away.setattr(monitor.task.cell.drive, "send", silent)
         monitor.beat()
     assert "*the arm's time stands still*" in "".join(shown)
     assert "POWER" in monitor.task.cell.switches
@@ -225,7 +231,7 @@ def test_nodes_that_are_away_are_no_power_cut(shipped: Setup, tmp_path: Path, mo
 def test_a_place_where_nothing_can_be_written_is_refused(shipped: Setup, tmp_path: Path) -> None:
     """STORE says so in a line, and the monitor goes on."""
     shown: list[str] = []
-    monitor = Monitor(Cell(shipped, Engine(shipped, keep=False)), tmp_path / "away", shown.append)
+    monitor = Monitor(cell_of(shipped), tmp_path / "away", shown.append)
     monitor.receive(b"store a\r")
     assert re.search(r"\r\n\*.*cannot be written.*\*\r\n\.$", "".join(shown))
 
@@ -252,7 +258,7 @@ def test_a_reaction_of_a_stopped_program_waits_until_it_goes_on(talk: Talk) -> N
 def test_the_arm_moves_again_behind_a_power_cut(shipped: Setup, tmp_path: Path) -> None:
     """The supervision is told of once, motions are refused until ENABLE POWER, and begin where the arm then stands."""
     shown: list[str] = []
-    cell = Cell(shipped, Engine(shipped, keep=False))
+    cell = cell_of(shipped)
     monitor = Monitor(cell, tmp_path, shown.append)
     cell.queue.position = cell.queue.position + 0.3
     lines = {"where": "Soft envelope error", "do drive 1, 10, 50": "*Robot power off*\r\n.", "en po": "en po\r\n\r\n."}
@@ -270,7 +276,7 @@ def test_the_arm_moves_again_behind_a_power_cut(shipped: Setup, tmp_path: Path) 
 
 def test_a_client_talks_over_tcp(shipped: Setup, tmp_path: Path) -> None:
     """A relative motion along the tool is done while the client asks where the arm is."""
-    cell = Cell(shipped, Engine(shipped, keep=False))
+    cell = cell_of(shipped)
     served = TcpLine(0, b".")
     words = {"waits": True}
     threading.Thread(target=serve, args=(cell, tmp_path, served, 2400), kwargs=words, daemon=True).start()

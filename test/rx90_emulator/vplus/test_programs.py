@@ -14,15 +14,17 @@ from scipy.spatial.transform import Rotation
 
 from rx90_common.base.errors import ConfigError
 from rx90_controller.lines.task import LineTask
+from rx90_emulator.cabinet.arm import Joints
+from rx90_emulator.cabinet.cell import Change, load_inputs
+from rx90_emulator.cabinet.locations import six_numbers
+from rx90_emulator.cabinet.record import ProgramRun
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.line import run_line
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.vplus.cell import Change, load_inputs
 from rx90_emulator.vplus.program import load_programs, read
-from rx90_emulator.vplus.run import Options, ProgramRun, run_program
-from rx90_emulator.vplus.transformations import six_numbers
+from rx90_emulator.vplus.run import Options, run_program
 from rx90_emulator.vplus.tree import Memory, Readings
-from rx90_emulator.vplus.values import Joints, LoadError
+from rx90_emulator.vplus.values import LoadError
 
 CASES = Path(__file__).parents[2] / "reference/vplus"
 EXPECTED: dict[str, Any] = yaml.safe_load((CASES / "expected.yaml").read_text(encoding="utf-8"))

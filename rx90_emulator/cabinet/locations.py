@@ -10,7 +10,7 @@ from pinocchio import SE3, Quaternion
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.rotations import axis_rotation
-from rx90_emulator.vplus.values import Joints
+from rx90_emulator.cabinet.arm import Joints
 
 X, Y, Z = np.eye(3)
 _SMALLEST = 1e-9
