@@ -86,6 +86,8 @@ class Monitor:
         self._lines: list[str] = []
         cell.show = lambda text, _, ends: send(f"{text}\r\n" if ends else text)
         cell.ask = self._ask
+        for reading in (True, False):
+            parse("", "step", reading)  # once takes long: later the arm would wait
         self._begin()
 
     @property
