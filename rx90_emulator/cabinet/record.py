@@ -92,7 +92,7 @@ def table(run: ProgramRun) -> list[list[str]]:
         figures = [f"{time:.3f}" for time in times]
         figures += [f"{way:.4f}" for way in (motion.error, motion.nulled)]
         ends = [
-            " ".join(f"{joint:.1f}" for joint in run.cell.arm.joints(q))
+            " ".join(f"{round(joint, 1) + 0.0}" for joint in run.cell.arm.joints(q))
             for q in (motion.start, motion.end)
         ]
         shown = [figure.replace("nan", "-") for figure in figures]
