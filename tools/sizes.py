@@ -30,6 +30,7 @@ FOLDERS = (
     "rx90_controller",
     "friction_bench",
     "rx90_emulator",
+    "rx90_emulator/cabinet",
     "rx90_emulator/cli",
     "rx90_emulator/configuration",
     "rx90_emulator/conformance",
@@ -39,12 +40,14 @@ FOLDERS = (
     "rx90_emulator/loop",
     "rx90_emulator/sweep",
     "rx90_emulator/view",
+    "rx90_emulator/vplus",
 )
 TOKEN_GOALS = {
     "": 345_000,
     "rx90_emulator/identification": 62_000,
     "rx90_common/bags": 22_000,
     "rx90_emulator/view": 12_000,
+    "rx90_emulator/vplus": 16_000,
     "friction_bench": 28_000,
 }
 _LAYOUT = {
