@@ -27,11 +27,10 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
-    GetJsonSchemaHandler,
     ValidationError,
     model_validator,
 )
-from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError
+from pydantic_core import ErrorDetails, PydanticCustomError
 
 from rx90_common.base.arrays import MAX_JOINTS
 from rx90_common.base.config import read_yaml, yaml_text
@@ -149,8 +148,14 @@ class Some(Named[Item], Generic[Item]):
         return self
 
 
+def _require_one(schema: JsonSchema, model: type[OneOf]) -> None:
+    schema["oneOf"] = [{"required": [key]} for key in model.one_of]
+
+
 class OneOf(FileModel):
     """A mapping that has exactly one of some keys."""
+
+    model_config = ConfigDict(json_schema_extra=_require_one)
 
     one_of: ClassVar[tuple[str, ...]]
 
@@ -162,15 +167,6 @@ class OneOf(FileModel):
                 f"has {' and '.join(given) or 'none'} of {', '.join(self.one_of)}; accepted: one of them"
             )
         return self
-
-    @classmethod
-    def __get_pydantic_json_schema__(
-        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> JsonSchema:
-        """Return the schema, with the rule."""
-        schema = handler.resolve_ref_schema(handler(core_schema))
-        schema["oneOf"] = [{"required": [key]} for key in cls.one_of]
-        return schema
 
 
 def quantity(

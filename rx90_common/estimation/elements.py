@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from rx90_common.base.arrays import Array, Index, Mask
+from rx90_common.base.arrays import Array, Index
 from rx90_common.estimation.fit import Fit, Problem, Projected, fit, of_groups
 from rx90_common.estimation.law import Law, Speeds
 
@@ -115,11 +115,6 @@ def places(laws: Sequence[Law]) -> list[slice]:
     return [slice(end - len(law.names), end) for law, end in zip(laws, ends, strict=True)]
 
 
-def sizes_of(laws: Sequence[Law]) -> Mask:
-    """Return which of all parameters are sizes, shape (q,)."""
-    return np.array([name in law.sizes for law in laws for name in law.names], dtype=np.bool_)
-
-
 Known = Sequence[Mapping[str, float]]
 """Fitted parameters of each element by name."""
 
@@ -162,11 +157,12 @@ def find_start(
         for law, element, own in zip(laws, rows.elements, known, strict=True)
     ]
     x = np.concatenate([shapes[0] for shapes in starts])
+    are_sizes = np.array([name in law.sizes for law in laws for name in law.names], dtype=np.bool_)
     for place, shapes in zip(places(laws), starts, strict=True):
         candidates = []
         for shape in shapes:
             candidate = x.copy()
             candidate[place] = shape
             candidates.append(candidate)
-        x = projected.best_start(candidates, sizes_of(laws))
+        x = projected.best_start(candidates, are_sizes)
     return x

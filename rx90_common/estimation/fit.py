@@ -124,17 +124,24 @@ class Fit:
         columns = np.hstack([np.where(self.at_bound, 0.0, self.slopes), self.problem.linear])
         return np.asarray(np.sqrt(self.weight)[:, None] * columns)
 
-    @property
-    def prior_information(self) -> Array:
-        """Return the inverse covariance of what is known of x and the linear parameters, shape (q + p, q + p)."""
+    def scaled(self) -> tuple[Array, Array, Array]:
+        """Return `columns` and what else is known of their parameters, in parts of their sizes.
+
+        Returns:
+            The columns, the inverse covariance of that knowledge, shape (q + p, q + p), and the sizes, shape (q + p,);
+            1 where nothing is known.
+        """
+        columns = self.columns
         count = len(self.x)
-        information = np.zeros((count + self.problem.linear.shape[1],) * 2)
+        prior = np.zeros((columns.shape[1],) * 2)
         matrix = self.problem.prior_rows
-        information[count:, count:] = matrix.T @ matrix
+        prior[count:, count:] = matrix.T @ matrix
         known = self.problem.known
         if self.problem.spread is not None:
-            information[known, known] = 1.0 / self.problem.spread[known] ** 2
-        return information
+            prior[known, known] = 1.0 / self.problem.spread[known] ** 2
+        size = np.sqrt(np.sum(columns**2, axis=0) + np.diag(prior))
+        size[size == 0.0] = 1.0
+        return columns / size, prior / np.outer(size, size), size
 
 
 def fit(problem: Problem, weight: Array | None = None) -> Fit:

@@ -155,42 +155,40 @@ class CdrReader:
             )
 
 
-class TransformCodec:
-    """Encode tf2_msgs/TFMessage between given frames: frames and translations stay, stamp and rotations change.
+def transform_encoder(
+    links: Sequence[tuple[str, str]], translation: Array
+) -> Callable[[int, Array], bytes]:
+    """Return a function that encodes tf2_msgs/TFMessage between given frames: frames and translations stay.
+
+    Its arguments are the stamp, ns, of all transforms and their rotations, (n, 4) quaternions, scalar last.
 
     Args:
         links: names of parent and child frame.
         translation: (n, 3) m.
     """
+    body = CdrBody()
+    body.count(len(links))
+    stamps = []
+    rotations = []
+    for (parent, child), shift in zip(links, translation, strict=True):
+        body.align(4)
+        stamps.append(ENCAPSULATION + body.zeros(_STAMP.size))
+        body.string(parent)
+        body.string(child)
+        body.align(8)
+        body.raw += _TRANSLATION.pack(*shift)
+        rotations.append(ENCAPSULATION + body.zeros(_ROTATION.size))
+    message = body.message()
 
-    def __init__(self, links: Sequence[tuple[str, str]], translation: Array) -> None:
-        body = CdrBody()
-        body.count(len(links))
-        self._stamps = []
-        self._rotations = []
-        for (parent, child), shift in zip(links, translation, strict=True):
-            body.align(4)
-            self._stamps.append(ENCAPSULATION + body.zeros(_STAMP.size))
-            body.string(parent)
-            body.string(child)
-            body.align(8)
-            body.raw += _TRANSLATION.pack(*shift)
-            self._rotations.append(ENCAPSULATION + body.zeros(_ROTATION.size))
-        self._message = body.message()
-
-    def encode(self, stamp_ns: int, rotation: Array) -> bytes:
-        """Return the message.
-
-        Args:
-            stamp_ns: of all transforms.
-            rotation: (n, 4) quaternions, scalar last.
-        """
+    def encode(stamp_ns: int, rotation: Array) -> bytes:
         stamp = divmod(stamp_ns, NANOSECONDS)
-        for at in self._stamps:
-            _STAMP.pack_into(self._message, at, *stamp)
-        for at, quaternion in zip(self._rotations, rotation.tolist(), strict=True):
-            _ROTATION.pack_into(self._message, at, *quaternion)
-        return bytes(self._message)
+        for at in stamps:
+            _STAMP.pack_into(message, at, *stamp)
+        for at, quaternion in zip(rotations, rotation.tolist(), strict=True):
+            _ROTATION.pack_into(message, at, *quaternion)
+        return bytes(message)
+
+    return encode
 
 
 @c_function(types.int64(types.voidptr, types.voidptr, types.voidptr, types.voidptr, types.voidptr))
@@ -267,11 +265,11 @@ class _Layout:
         outgoing: memory of a message to write, its constant bytes filled in.
     """
 
-    def __init__(self, names: tuple[str, ...], frame_id: str, present: tuple[bool, ...]) -> None:
+    def __init__(self, names: tuple[str, ...], present: tuple[bool, ...]) -> None:
         numbers = 8 * len(names)
         body = CdrBody()
         body.zeros(STAMP_BYTES)
-        body.string(frame_id)
+        body.string("")  # frame_id
         body.strings(names)
         blocks = []
         for there in present:
@@ -310,19 +308,18 @@ class _Layout:
 class JointStateCodec:
     """Encode and decode sensor_msgs/JointState for a fixed list of joint names.
 
-    One codec belongs to one thread: `decode` returns views of a buffer that its next call writes again.
+    One codec belongs to one thread: `decode` returns views of a buffer that its next call writes again. It writes no
+    frame_id, and accepts any.
 
     Args:
         names: joint names in the order of the arrays, each once.
-        frame_id: header.frame_id that is written; any is accepted when reading.
 
     Raises:
         ExchangeError: if a name is empty, repeated or holds a NUL.
     """
 
-    def __init__(self, names: Sequence[str], frame_id: str = "") -> None:
+    def __init__(self, names: Sequence[str]) -> None:
         self.names = tuple(names)
-        self.frame_id = frame_id
         if not self.names:
             raise ExchangeError("no joint names given; accepted: one or more")
         for name in self.names:
@@ -330,10 +327,8 @@ class JointStateCodec:
                 raise ExchangeError(
                     f"joint name {quoted(name)}; accepted: a text without NUL, each name once"
                 )
-        if "\0" in frame_id:
-            raise ExchangeError(f"frame_id {quoted(frame_id)}; accepted: a text without NUL")
         self._layouts = {
-            present: _Layout(self.names, frame_id, present)
+            present: _Layout(self.names, present)
             for present in product((True, False), repeat=_BLOCKS)
         }
         self._expected = self._layouts[True, True, True]

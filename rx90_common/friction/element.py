@@ -12,8 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, GetJsonSchemaHandler, ValidationError, model_validator
-from pydantic_core import CoreSchema
+from pydantic import ConfigDict, Field, ValidationError, model_validator
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.models import FileModel, JsonSchema, quantity, refusal, refusals, word_of
@@ -44,6 +43,12 @@ class StaticTorque(BySign[Annotated[float, Field(ge=0.0)]]):
     """Static torque for each sign of the velocity."""
 
 
+def _require_curve_or_law(schema: JsonSchema) -> None:
+    law = ["tau_c", "tau_s", "omega_s", "delta"]
+    schema["required"] = [name for name in schema["required"] if name not in law]
+    schema["anyOf"] = [{"required": ["curve"]}, {"required": law}]
+
+
 class FrictionElement(FileModel):
     """A LuGre friction element (equations 17 to 19), joint side.
 
@@ -62,6 +67,8 @@ class FrictionElement(FileModel):
     random walk, bristles of another kind than equation 17, and a curve in place of equation 19. The curves below are
     those without load, at the reference temperature, in the mean over angle and scatter.
     """
+
+    model_config = ConfigDict(json_schema_extra=_require_curve_or_law)
 
     tau_c: Annotated[
         CoulombTorque,
@@ -109,17 +116,6 @@ class FrictionElement(FileModel):
         return {**missing, **content}
 
     @classmethod
-    def __get_pydantic_json_schema__(
-        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> JsonSchema:
-        """Return the schema, with what is needed only where there is no curve."""
-        schema = handler.resolve_ref_schema(handler(core_schema))
-        replaced = ["tau_c", "tau_s", "omega_s", "delta"]
-        schema["required"] = [name for name in schema["required"] if name not in replaced]
-        schema["anyOf"] = [{"required": ["curve"]}, {"required": replaced}]
-        return schema
-
-    @classmethod
     def of(cls, parameters: Mapping[str, Any]) -> FrictionElement:
         """Return the element with parameters by the names of FRICTION_UNITS, or with `tau_c` for both signs.
 
@@ -132,12 +128,9 @@ class FrictionElement(FileModel):
 
     @model_validator(mode="after")
     def _check_static(self) -> FrictionElement:
-        static = self.tau_s
-        coulomb = self.tau_c
-        if static.positive < coulomb.positive:
-            raise refusal("tau_s", static.positive, f"a number >= tau_c = {coulomb.positive} Nm")
-        if static.negative < coulomb.negative:
-            raise refusal("tau_s", static.negative, f"a number >= tau_c = {coulomb.negative} Nm")
+        for coulomb, static in zip(self.tau_c.both, self.tau_s.both, strict=True):
+            if static < coulomb:
+                raise refusal("tau_s", static, f"a number >= tau_c = {coulomb} Nm")
         return self
 
     @property
@@ -174,8 +167,8 @@ class FrictionElement(FileModel):
         """Return c0 g(v), equation 19, without a sign: the Stribeck curve less the viscous part, Nm."""
         v = np.asarray(velocity, dtype=np.float64)
         forward = v >= 0
-        coulomb = np.where(forward, self.tau_c.positive, self.tau_c.negative)
-        static = np.where(forward, self.tau_s.positive, self.tau_s.negative)
+        coulomb = np.where(forward, *self.tau_c.both)
+        static = np.where(forward, *self.tau_s.both)
         torque = np.asarray(
             coulomb + (static - coulomb) * stribeck_decay(v, self.omega_s, self.delta)
         )

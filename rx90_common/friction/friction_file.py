@@ -143,21 +143,16 @@ class FrictionSet:
     def passivity_warnings(self, reach: Sequence[float]) -> list[str]:
         """Return a line for each element that is not passive up to the speed, rad/s, that it reaches, shape (e,)."""
         where = "" if self.file is None else f"{self.file}: "
-        warnings = [
-            _passivity_warning(*each) for each in zip(self.names, self.elements, reach, strict=True)
-        ]
-        return [f"{where}{warning}" for warning in warnings if warning]
-
-
-def _passivity_warning(name: str, element: FrictionElement, speed: float) -> str:
-    """Return a line for an element that is not passive up to a speed, rad/s; "" for one that is."""
-    limit = element.passivity_limit(speed)
-    if math.isinf(limit):
-        return ""
-    return (
-        f"elements.{name}.c1 is {element.c1:g} Nm s/rad, not passive from {limit:.3g} rad/s on; accepted: below "
-        f"{element.passive_damping(speed):.3g} up to {speed:.3g} rad/s, or a c1 that fades with omega_d"
-    )
+        warnings = []
+        for name, element, speed in zip(self.names, self.elements, reach, strict=True):
+            limit = element.passivity_limit(speed)
+            if math.isfinite(limit):
+                most = element.passive_damping(speed)
+                warnings.append(
+                    f"{where}elements.{name}.c1 is {element.c1:g} Nm s/rad, not passive from {limit:.3g} rad/s on; "
+                    f"accepted: below {most:.3g} up to {speed:.3g} rad/s, or a c1 that fades with omega_d"
+                )
+        return warnings
 
 
 def refuse_parts(
