@@ -15,7 +15,16 @@ from numpy.typing import ArrayLike
 from pydantic import ConfigDict, Field, ValidationError, model_validator
 
 from rx90_common.base.arrays import Array, Mask
-from rx90_common.base.models import FileModel, JsonSchema, quantity, refusal, refusals, word_of
+from rx90_common.base.models import (
+    FileModel,
+    JsonSchema,
+    NotNegative,
+    Positive,
+    quantity,
+    refusal,
+    refusals,
+    word_of,
+)
 from rx90_common.friction.parts.bristles import BRISTLES, LUGRE_PASSIVITY, Bristles
 from rx90_common.friction.parts.curve import CURVE, CurvePart
 from rx90_common.friction.parts.load import LOAD, LoadPart
@@ -35,11 +44,11 @@ a light wrist in a tick: the part would be a Coulomb torque without bristles.
 _SIGNED = "; one value, or {positive: x, negative: y}"
 
 
-class CoulombTorque(BySign[Annotated[float, Field(gt=0.0)]]):
+class CoulombTorque(BySign[Positive]):
     """Coulomb torque for each sign of the velocity."""
 
 
-class StaticTorque(BySign[Annotated[float, Field(ge=0.0)]]):
+class StaticTorque(BySign[NotNegative]):
     """Static torque for each sign of the velocity."""
 
 
@@ -81,10 +90,10 @@ class FrictionElement(FileModel):
         ),
     ]
     omega_s: Annotated[float, quantity("rad/s", "Stribeck velocity.", ge=MIN_SPEED)]
-    delta: Annotated[float, quantity("1", "Stribeck exponent.", gt=0.0)]
-    c0: Annotated[float, quantity("Nm/rad", "Bristle stiffness.", gt=0.0)]
-    c1: Annotated[float, quantity("Nm s/rad", "Micro-viscous damping at rest.", ge=0.0)]
-    c2: Annotated[float, quantity("Nm (s/rad)^alpha", "Viscous friction.", ge=0.0)]
+    delta: Annotated[Positive, quantity("1", "Stribeck exponent.")]
+    c0: Annotated[Positive, quantity("Nm/rad", "Bristle stiffness.")]
+    c1: Annotated[NotNegative, quantity("Nm s/rad", "Micro-viscous damping at rest.")]
+    c2: Annotated[NotNegative, quantity("Nm (s/rad)^alpha", "Viscous friction.")]
     omega_d: Annotated[
         float,
         quantity("rad/s", "Velocity in the fading c1 exp(-(v/omega_d)^2).", ge=MIN_SPEED),

@@ -11,7 +11,15 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import FileModel, Named, model_text, quantity, read_model, refusals
+from rx90_common.base.models import (
+    FileModel,
+    Named,
+    NotNegative,
+    model_text,
+    quantity,
+    read_model,
+    refusals,
+)
 from rx90_common.base.quoting import counted, nearest, question, quoted
 from rx90_common.friction.element import FrictionElement, legend
 
@@ -20,7 +28,7 @@ class JointTorques(FileModel):
     """What the torque of a joint holds beside links and friction."""
 
     offset: Annotated[float, quantity("Nm", "Constant torque, such as a sensor's zero.")] = 0.0
-    rotor_inertia: Annotated[float, quantity("kg m^2", "Rotor through its gear.", ge=0.0)] = 0.0
+    rotor_inertia: Annotated[NotNegative, quantity("kg m^2", "Rotor through its gear.")] = 0.0
     spring: Annotated[float, quantity("Nm", "k of a torque -k sin(q).")] = 0.0
 
 

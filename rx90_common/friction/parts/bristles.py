@@ -19,7 +19,7 @@ from pydantic import (
 )
 
 from rx90_common.base.arrays import Array, RecordType, record_type
-from rx90_common.base.models import JsonSchema, quantity, refusal
+from rx90_common.base.models import JsonSchema, NotNegative, Positive, quantity, refusal
 from rx90_common.friction.maxwell_slip import MAX_BLOCKS, blocks_dtype
 from rx90_common.friction.parts.part import FrictionPart, Part, Surroundings
 from rx90_common.kernels.compiled import inlined
@@ -65,10 +65,8 @@ class ElastoPlastic(BristlesPart):
 
     kind: Literal["elasto_plastic"] = "elasto_plastic"
     break_away: Annotated[
-        float,
-        quantity(
-            "1", "Deflection up to which the bristles are purely elastic, in parts of tau_c / c0.",
-            ge=0.0, le=MAX_BREAK_AWAY,
+        NotNegative, quantity(
+            "1", "Deflection up to which the bristles are purely elastic, in parts of tau_c / c0.", le=MAX_BREAK_AWAY,
         ),
     ]  # fmt: skip
 
@@ -93,10 +91,8 @@ class MaxwellSlip(BristlesPart):
         _Shares, quantity("1", "Share of each block in the sliding torque; they sum to 1.")
     ]
     attraction: Annotated[
-        float,
-        quantity(
+        Positive, quantity(
             "Nm/s", "Attraction of the sliding curve; torques come to it at the rate attraction / sliding torque.",
-            gt=0.0,
         ),
     ]  # fmt: skip
 

@@ -22,7 +22,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from rx90_common.base.arrays import Array, RecordType, record_type
-from rx90_common.base.models import FileModel, quantity, refusal
+from rx90_common.base.models import FileModel, Positive, quantity, refusal
 from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings
 from rx90_common.friction.signs import BySign
 from rx90_common.kernels.compiled import inlined
@@ -33,7 +33,7 @@ MAX_POINTS = 64
 
 _list = Field(strict=False, min_length=2, max_length=MAX_POINTS)
 _Speeds: TypeAlias = Annotated[tuple[Annotated[float, Field(ge=0.0, le=1e6)], ...], _list]
-_Torques: TypeAlias = Annotated[tuple[Annotated[float, Field(gt=0.0)], ...], _list]
+_Torques: TypeAlias = Annotated[tuple[Positive, ...], _list]
 
 
 class Cubics(NamedTuple):

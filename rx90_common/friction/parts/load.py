@@ -43,7 +43,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from rx90_common.base.arrays import RecordType, record_type
-from rx90_common.base.models import quantity, refusal
+from rx90_common.base.models import NotNegative, Positive, quantity, refusal
 from rx90_common.friction.parts.part import MIN_SPEED, FrictionPart, Part, Present, Surroundings
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import exponential, power
@@ -58,8 +58,8 @@ RELAX_TIME = 1e-3
 LARGEST_COEFFICIENT = 0.95
 """Largest Coulomb torque over load torque: below 1 the loop above is stable."""
 
-_Coefficient: TypeAlias = Annotated[float, quantity("1", "", ge=0.0, le=LARGEST_COEFFICIENT)]
-_Quadratic: TypeAlias = Annotated[float, quantity("1/Nm", "", ge=0.0, le=1.0)]
+_Coefficient: TypeAlias = Annotated[NotNegative, quantity("1", "", le=LARGEST_COEFFICIENT)]
+_Quadratic: TypeAlias = Annotated[NotNegative, quantity("1/Nm", "", le=1.0)]
 
 
 class LoadPart(FrictionPart):
@@ -90,20 +90,18 @@ class LoadPart(FrictionPart):
         Field(description="Growth of static torque by the square of the load torque, driven."),
     ] = 0.0
     omega_s: Annotated[
-        float,
+        NotNegative,
         quantity(
             "rad/s",
             "Stribeck velocity of the load's share; 0: that of the element.",
-            ge=0.0,
             le=1e6,
         ),
     ] = 0.0
     relax_time: Annotated[
-        float,
+        Positive,
         quantity(
             "s",
             "Time in which friction follows the load, at least the plant's step.",
-            gt=0.0,
             le=1.0,
         ),
     ] = RELAX_TIME

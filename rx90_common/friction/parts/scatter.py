@@ -24,7 +24,7 @@ import numpy as np
 
 from rx90_common.base.arrays import RecordType, record_type
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import quantity
+from rx90_common.base.models import Positive, quantity
 from rx90_common.base.quoting import quoted
 from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings, scaled
 from rx90_common.kernels.compiled import inlined
@@ -57,8 +57,8 @@ class ScatterPart(FrictionPart):
     """
 
     deviation: Annotated[
-        float,
-        quantity("1", "Standard deviation, share of Coulomb and static torque.", gt=0.0, le=0.2),
+        Positive,
+        quantity("1", "Standard deviation, share of Coulomb and static torque.", le=0.2),
     ]
     correlation_time: Annotated[
         float, quantity("s", "Time in which the walk forgets.", ge=1e-2, le=1e7)

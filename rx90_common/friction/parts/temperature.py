@@ -38,7 +38,7 @@ import numpy as np
 from pydantic import model_validator
 
 from rx90_common.base.arrays import RecordType, record_type
-from rx90_common.base.models import quantity, refusal
+from rx90_common.base.models import Positive, quantity, refusal
 from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings
 from rx90_common.friction.signs import SIGNS
 from rx90_common.kernels.compiled import inlined
@@ -75,8 +75,8 @@ class TemperaturePart(FrictionPart):
     highest: Annotated[float, _degrees("Highest temperature for which it holds.")]
     start: Annotated[float, _degrees("Temperature at the start and after a reset.")]
     ambient: Annotated[float, _degrees("Temperature of the surroundings.")]
-    capacity: Annotated[float, quantity("J/K", "Heat capacity of the joint.", gt=0.0, le=1e9)]
-    resistance: Annotated[float, quantity("K/W", "Between joint and surroundings.", gt=0.0, le=1e6)]
+    capacity: Annotated[Positive, quantity("J/K", "Heat capacity of the joint.", le=1e9)]
+    resistance: Annotated[Positive, quantity("K/W", "Between joint and surroundings.", le=1e6)]
     viscous_scale: Annotated[
         float, quantity("K", "Rise that takes viscous friction to 1/e.", ge=1.0, le=1000.0)
     ]
