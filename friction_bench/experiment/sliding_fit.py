@@ -208,6 +208,7 @@ class _Ramps:
             upper=upper,
             group=np.zeros(len(block), dtype=np.intp),
             block=block,
+            prior=np.empty((0, 0)),
             spread=spread,
         )
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -68,22 +69,19 @@ class FrictionRows:
     elements: Sequence[ElementRows]
     group: Index
     block: Index
-    prior: Array | None = None
-    _kept: dict[int, tuple[Law, bytes, tuple[Array, Array]]] = field(
-        default_factory=dict, repr=False
-    )
+    prior: Array
 
     def problem(self, laws: Sequence[Law], start: Array | None = None) -> Problem:
         """Return the problem of one law for each element; its parameters stand one element after the other."""
         pairs = list(zip(laws, self.elements, strict=True))
-        bounds = [law.bounds(element.speeds) for law, element in pairs]
+        lower, upper = np.hstack([law.bounds(element.speeds) for law, element in pairs])
         first = [law.starts(element.speeds)[0] for law, element in pairs]
 
         def model(x: Array) -> tuple[Array, Array]:
             total = np.zeros(len(self.target))
             slopes = np.zeros((len(self.target), len(x)))
             for number, place in enumerate(places(laws)):
-                torque, own = self._torque(number, laws[number], x[place])
+                torque, own = self._torque(number, laws[number], x[place].tobytes())
                 total[self.elements[number].rows] += torque
                 slopes[self.elements[number].rows, place] = own
             return total, slopes
@@ -93,20 +91,22 @@ class FrictionRows:
             linear=self.linear,
             model=model,
             start=np.concatenate(first) if start is None else start,
-            lower=np.concatenate([lower for lower, _ in bounds]),
-            upper=np.concatenate([upper for _, upper in bounds]),
+            lower=lower,
+            upper=upper,
             group=self.group,
             block=self.block,
             prior=self.prior,
+            spread=np.full(len(lower), np.inf),
         )
 
-    def _torque(self, number: int, law: Law, x: Array) -> tuple[Array, Array]:
-        """Return an element's torque and slopes; those of its last parameters are kept, as most do not change."""
-        kept = self._kept.get(number)
-        if kept is None or kept[0] != law or kept[1] != x.tobytes():
-            kept = (law, x.tobytes(), self.elements[number].torque(law, x))
-            self._kept[number] = kept
-        return kept[2]
+    @cached_property
+    def _torque(self) -> Callable[[int, Law, bytes], tuple[Array, Array]]:
+        """Return the function for an element's torque and slopes; the last ones are kept, as most do not change."""
+
+        def torque(number: int, law: Law, x: bytes) -> tuple[Array, Array]:
+            return self.elements[number].torque(law, np.frombuffer(x))
+
+        return lru_cache(len(self.elements))(torque)
 
 
 def places(laws: Sequence[Law]) -> list[slice]:

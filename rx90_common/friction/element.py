@@ -187,8 +187,7 @@ class FrictionElement(FileModel):
 
     def damping(self, velocity: ArrayLike) -> Array:
         """Return c1(v), Nm s/rad."""
-        with np.errstate(over="ignore"):
-            return self.c1 * np.exp(-((np.asarray(velocity) / self.omega_d) ** 2))
+        return self.c1 * stribeck_decay(np.asarray(velocity), self.omega_d, 2.0)
 
     def viscous_torque(self, velocity: ArrayLike) -> Array:
         """Return c2 |v|^alpha sign(v), below LINEAR_SPEED the chord of it, Nm."""
@@ -234,7 +233,7 @@ class FrictionElement(FileModel):
     def passive_damping(self, max_velocity: float) -> float:
         """Return the c1, Nm s/rad, below which the element is passive up to `max_velocity`, rad/s."""
         speed = _speeds_up_to(max_velocity)
-        fading = np.exp(-((speed / self.omega_d) ** 2))
+        fading = stribeck_decay(speed, self.omega_d, 2.0)
         with np.errstate(divide="ignore"):
             return float(np.min(self._least_dissipation(speed) / (speed * fading)))
 
