@@ -23,11 +23,11 @@ import pinocchio as pin
 from tqdm import tqdm
 
 from benchmarks.hybrid_reference import TOLERANCE, ReferenceRun, StiffPlant, Work, hybrid_reference
-from benchmarks.report import PLOT, arguments, merge, print_table
+from benchmarks.report import PLOT, WIDTH, arguments, merge, plain_decades, print_table
 from rx90_common.base.arrays import Array
 from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionSet
-from rx90_common.report.picture import WIDTH, picture, plain_decades
+from rx90_common.report.picture import picture
 from rx90_common.report.style import COLOURS, GREY, INK
 from rx90_emulator.loop.setup import Setup
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.report import PLOT, arguments, in_turns, merge, print_table, timed
+from benchmarks.report import PLOT, WIDTH, arguments, in_turns, merge, print_table, timed
 from rx90_common.base.arrays import Array, record_type
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.compiled_elements import (
@@ -36,7 +36,7 @@ from rx90_common.friction.parts.bristles import (
 )
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import lane, load
-from rx90_common.report.picture import WIDTH, picture
+from rx90_common.report.picture import picture
 from rx90_common.report.style import COLOURS, GREY
 
 _STATE = record_type(bristles=bristles_state_dtype(1), z=1)
@@ -55,7 +55,8 @@ class Motion(NamedTuple):
 def _records(element: FrictionElement) -> tuple[Any, Any, Any]:
     constants = np.zeros(1, bristles_dtype(1))
     state = np.zeros(1, _STATE)
-    fill_bristles(constants[0], [element.bristles])
+    if element.bristles is not None:
+        fill_bristles(constants[0], 0, element.bristles)
     return element_arrays((element,)), constants, state
 
 

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.report import PLOT, arguments, in_turns, merge, print_table, timed
+from benchmarks.report import PLOT, WIDTH, arguments, in_turns, merge, print_table, timed
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.config import read_yaml, yaml_text
 from rx90_common.base.rates import Rates
@@ -40,7 +40,7 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
-from rx90_common.report.picture import WIDTH, picture
+from rx90_common.report.picture import picture
 from rx90_common.report.style import COLOURS, INK
 from rx90_controller.law.cs7b import position_loop, velocity_loop
 from rx90_controller.law.model import ModelFiles

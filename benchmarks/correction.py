@@ -17,13 +17,23 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.report import PLOT, accepted, arguments, in_turns, merge, print_table, timed
+from benchmarks.report import (
+    PLOT,
+    WIDTH,
+    accepted,
+    arguments,
+    in_turns,
+    merge,
+    plain_decades,
+    print_table,
+    timed,
+)
 from benchmarks.transmission import elastic
 from rx90_common.base.arrays import Array
 from rx90_common.description.inverse import SphericalWristArm, nearest_turn
 from rx90_common.description.kinematics import Pose, bias_acceleration, jacobian, tip_position
 from rx90_common.description.rotations import rpy_rotation, solved
-from rx90_common.report.picture import WIDTH, picture, plain_decades
+from rx90_common.report.picture import picture
 from rx90_common.report.style import COLOURS
 from rx90_controller.lines.task import LineTask, TrapezoidalProfile, load_task
 from rx90_controller.trajectory import TrajectoryPoints

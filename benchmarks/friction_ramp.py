@@ -34,7 +34,7 @@ from friction_bench.experiment.identification import (
 )
 from friction_bench.experiment.job import plan_from, run_planned, run_ramp
 from friction_bench.experiment.record import RampRecord
-from friction_bench.experiment.session import near_limits
+from friction_bench.experiment.session import LIMITS_SHARE, SPEED_TICKS
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort, native_library
 from friction_bench.rig.plant import (
@@ -49,12 +49,13 @@ from friction_bench.rig.plant import (
 from friction_bench.rig.rig_file import (
     CODES,
     RAMP_FRACTION,
+    TRAVEL_UNIT,
     Emulation,
     JointFriction,
     Rig,
     load_rig,
 )
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.share import SOURCE_RIG, config_path
 from rx90_common.friction.element import FrictionElement
@@ -184,6 +185,15 @@ def _ramp(
     return angles, motors
 
 
+def _near_limits(rig: Rig, counts: Array) -> Mask:
+    """Tell for each reading of a motion, shape (n,), what `session.near_limits` tells for the last one."""
+    travel, speed = rig.limit_codes()
+    moved = counts - counts[0]
+    before = np.concatenate((np.zeros(SPEED_TICKS), moved))[: moved.size]
+    too_far = np.abs(moved) > LIMITS_SHARE * travel * TRAVEL_UNIT
+    return too_far | (np.abs(moved - before) > LIMITS_SHARE * speed * SPEED_TICKS)
+
+
 @dataclass
 class QuickRig:
     """A rig that runs ramps; amplifier and noise are drawn from `seed`, once and for each ramp."""
@@ -237,7 +247,7 @@ class QuickRig:
         )
         scale = rig.counts_per_revolution / math.tau
         counts = np.floor(angle * scale + self._rng.random())
-        beyond = near_limits(rig, counts)
+        beyond = _near_limits(rig, counts)
         end = int(np.argmax(beyond)) if beyond.any() else ticks.size
         reading = np.maximum(
             0.0, motor + plant.amplifier.adc_noise * self._rng.standard_normal(ticks.size)

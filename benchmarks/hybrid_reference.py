@@ -21,7 +21,7 @@ from rx90_common.arm_dynamics import mass_and_bias
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction import FrictionElement, FrictionSet
-from rx90_common.friction.compiled_elements import element_arrays, one_element
+from rx90_common.friction.compiled_elements import element_arrays, lane_of, load_elements
 from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_common.kernels.compiled import kernel
 from rx90_controller.lines.task import LineTask, load_task
@@ -91,9 +91,10 @@ def _derivative(y: Array, _: float, arm: Any, body: Any, friction: Any, drive: A
     derivative = np.empty(19)
     for i in range(6):
         torque[i] = drive[i] - bias[i]
+    elements = load_elements(friction[0], 7)
     for i in range(7):
         velocity = v[i] if i < 6 else v[4] + v[5]
-        e = one_element(friction[0], i)
+        e = lane_of(elements, i)
         sign = 0 if velocity >= 0 else 1
         stribeck = np.exp(-((abs(velocity) * e.inverse_omega_s) ** e.delta))
         g = (e.tau_c[sign] + (e.tau_s[sign] - e.tau_c[sign]) * stribeck) / e.c0

@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.optimize import minimize_scalar
 
-from benchmarks.report import PLOT, arguments, publish
+from benchmarks.report import PLOT, WIDTH, arguments, plain_decades, publish
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction.compiled_elements import element_arrays
@@ -33,7 +33,7 @@ from rx90_common.friction.parts.step import (
 from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
-from rx90_common.report.picture import WIDTH, picture, plain_decades
+from rx90_common.report.picture import picture
 from rx90_common.report.style import COLOURS
 
 COULOMB, COULOMB_LOAD = 3.11e-2, 2.34e-2

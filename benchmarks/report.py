@@ -14,17 +14,23 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from tqdm import tqdm
 
 from rx90_common.base.errors import INTERRUPTED
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 ROOT = Path(__file__).resolve().parent.parent
 BENCH_FILE = ROOT / "out" / "bench.json"
 _Job = TypeVar("_Job")
 _Found = TypeVar("_Found")
 PLOT = ("--plot", None, "picture to write")
+WIDTH = 8.2
+"""Of a picture, inches."""
+_FEW_DECADES = 1e3  # on a logarithmic axis: room for 1, 2 and 5 of each
 
 
 def arguments(description: str | None, *options: tuple[str, Any, str]) -> argparse.Namespace:
@@ -197,3 +203,16 @@ def accepted(wrong: Sequence[str], whole: bool = True) -> int:
     for name in wrong:
         print(f"{name}: not what is accepted", file=sys.stderr)
     return int(bool(wrong)) if whole else INTERRUPTED
+
+
+def plain_decades(panel: Axes) -> None:
+    """Label logarithmic axes with plain numbers: Matplotlib's own labels are formulas, which are not read here."""
+    from matplotlib.ticker import LogLocator  # here, because most benchmarks draw nothing
+
+    for axis in (panel.xaxis, panel.yaxis):
+        if axis.get_scale() == "log":
+            low, high = axis.get_view_interval()
+            if high < _FEW_DECADES * low:
+                axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter("")

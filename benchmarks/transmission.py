@@ -16,11 +16,20 @@ import pinocchio as pin
 from scipy import linalg
 
 from benchmarks.hybrid_reference import Work
-from benchmarks.report import PLOT, arguments, in_turns, print_table, ratios, timed
+from benchmarks.report import (
+    PLOT,
+    WIDTH,
+    arguments,
+    in_turns,
+    plain_decades,
+    print_table,
+    ratios,
+    timed,
+)
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.description.drives import Elasticity
-from rx90_common.report.picture import WIDTH, picture, plain_decades
+from rx90_common.report.picture import picture
 from rx90_common.report.style import COLOURS, INK
 from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints

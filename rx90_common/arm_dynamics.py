@@ -21,9 +21,8 @@ from functools import cache, lru_cache
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rx90_common.base.arrays import Array, record_type
+from rx90_common.base.arrays import Array, Record, RecordType, record_type
 from rx90_common.description import rotations
 from rx90_common.description.chain import RigidChain
 from rx90_common.description.drives import DriveParameters
@@ -44,7 +43,7 @@ from rx90_common.kernels.lanes import (
 
 
 @cache
-def manipulator_dtype(joints: int) -> np.dtype[np.void]:
+def manipulator_dtype(joints: int) -> RecordType:
     """Return the type of the constants, the link last: base parameters, gravity, the rotors' inertia, the spring."""
     return record_type(
         frame=(3, 3, joints),  # column, component, link: in the frame before, at q = 0
@@ -59,7 +58,7 @@ def manipulator_dtype(joints: int) -> np.dtype[np.void]:
 
 
 @cache
-def body_dtype(joints: int) -> np.dtype[np.void]:
+def body_dtype(joints: int) -> RecordType:
     """Return the type of the workspace of one evaluation: column, component, link of the rotations."""
     return record_type(orientation=(3, 3, joints))
 
@@ -163,10 +162,10 @@ def of_link(a: Vector, link: int) -> Vector:
 def mass_and_bias(
     arm: Any,
     body: Any,
-    q: NDArray[np.float64],
-    v: NDArray[np.float64],
-    mass_matrix: NDArray[np.float64],
-    bias: NDArray[np.float64],
+    q: Array,
+    v: Array,
+    mass_matrix: Array,
+    bias: Array,
 ) -> None:
     """Write M(q), shape (n, n), and h(q, v), shape (n,): M a + h = drive torque - friction torque.
 
@@ -209,10 +208,10 @@ def mass_and_bias(
 def inverse_dynamics(
     arm: Any,
     body: Any,
-    q: NDArray[np.float64],
-    v: NDArray[np.float64],
-    a: NDArray[np.float64],
-    torque: NDArray[np.float64],
+    q: Array,
+    v: Array,
+    a: Array,
+    torque: Array,
 ) -> None:
     """Write M(q) a + h(q, v), shape (n,), without the mass matrix (recursive Newton-Euler: Featherstone 2008, 5.3).
 
@@ -257,7 +256,7 @@ class _Pose(NamedTuple):
 
 
 @inlined
-def _pose(arm: Any, body: Any, q: NDArray[np.float64]) -> _Pose:
+def _pose(arm: Any, body: Any, q: Array) -> _Pose:
     n = size(arm.rotor)
     sine, cosine = sine_cosine(load(q, n))
     _turn_joints(arm.frame, body.orientation, sine, cosine)
@@ -406,7 +405,7 @@ def _project(
 
 
 @inlined
-def factorise(mass_matrix: NDArray[np.float64], factor: NDArray[np.float64]) -> None:
+def factorise(mass_matrix: Array, factor: Array) -> None:
     """Write the factors L D L^T of a mass matrix, both in records, shape (n, n): L below, 1 / D_ii on the diagonal."""
     n = size(factor)
     for i in range(n):
@@ -424,7 +423,7 @@ def factorise(mass_matrix: NDArray[np.float64], factor: NDArray[np.float64]) -> 
 
 
 @inlined
-def solve(factor: NDArray[np.float64], x: NDArray[np.float64]) -> None:
+def solve(factor: Array, x: Array) -> None:
     """Solve M x = b in place for the factor written by `factorise`; `x` holds b, shape (n,)."""
     n = size(factor)
     for k in range(n - 1):
@@ -516,7 +515,7 @@ def _link_frames(z: Array, moment: Array) -> Array:
     return np.stack([c * x + s * y, c * y - s * x, z], axis=2)
 
 
-def manipulator_record(chain: RigidChain, drives: DriveParameters) -> np.ndarray[Any, Any]:
+def manipulator_record(chain: RigidChain, drives: DriveParameters) -> Record:
     """Return the constants of an arm with its rotors and springs, shape (1,), of `manipulator_dtype(n)`."""
     record = np.zeros(1, manipulator_dtype(len(chain.mass)))
     arm = record[0]

@@ -33,7 +33,7 @@ from typing import Any
 
 import numpy as np
 
-from rx90_common.base.arrays import Array, Record, record_type
+from rx90_common.base.arrays import Array, Record, RecordType, record_type
 from rx90_common.description.coupling import add_drive_torques, to_motor
 from rx90_common.description.drives import MAX_TERMS, Cogging, CurrentSensor, Windings
 from rx90_common.friction.bristle import decay
@@ -54,7 +54,7 @@ _SMALL = 1e-2
 _STREAM = np.uint64(1 << 32)  # the sequences of the sensors begin away from those of the friction
 
 
-def cogging_dtype(motors: int) -> np.dtype[np.void]:
+def cogging_dtype(motors: int) -> RecordType:
     """Return the type of the constants: torque = cosine cos(h angle) - sine sin(h angle)."""
     waves = (MAX_TERMS, motors)
     return record_type(
@@ -65,7 +65,7 @@ def cogging_dtype(motors: int) -> np.dtype[np.void]:
     )
 
 
-def cogging_state_dtype(motors: int) -> np.dtype[np.void]:
+def cogging_state_dtype(motors: int) -> RecordType:
     """Return the type of the workspace: of the motors; torques joint side, Nm."""
     return record_type(angle=motors, speed=motors, torque=motors)
 
@@ -122,7 +122,7 @@ def add_cogging(
     add_drive_torques(plant.gear, motors.torque, torque)
 
 
-def winding_dtype(motors: int) -> np.dtype[np.void]:
+def winding_dtype(motors: int) -> RecordType:
     """Return the type of the constants, motor side."""
     return record_type(
         used=np.int64,
@@ -208,7 +208,7 @@ def whole_steps(value: Number, step: Number) -> Number:
     return whole * step
 
 
-def sensor_dtype(motors: int) -> np.dtype[np.void]:
+def sensor_dtype(motors: int) -> RecordType:
     """Return the type of the constants, A."""
     return record_type(
         used=np.int64,
@@ -221,7 +221,7 @@ def sensor_dtype(motors: int) -> np.dtype[np.void]:
     )
 
 
-def sensor_state_dtype(motors: int) -> np.dtype[np.void]:
+def sensor_state_dtype(motors: int) -> RecordType:
     """Return the type of the state."""
     return record_type(
         ("counter", np.uint64, (motors,)),

@@ -38,7 +38,7 @@ from typing import Any
 import numpy as np
 
 from rx90_common.arm_dynamics import factorise, mass_and_bias, solve
-from rx90_common.base.arrays import Array, record_type
+from rx90_common.base.arrays import Array, RecordType, record_type
 from rx90_common.description.coupling import (
     add_drive,
     add_drive_torques,
@@ -64,7 +64,7 @@ _TOLERANCE = 1e-12  # of a transmitted torque, relative to the torques about it
 _MAX_SAG_ROUNDS = 100
 
 
-def transmission_dtype(drives: int) -> np.dtype[np.void]:
+def transmission_dtype(drives: int) -> RecordType:
     """Return the type of the constants."""
     return record_type(
         ("elastic", np.int64, (drives,)),
@@ -77,7 +77,7 @@ def transmission_dtype(drives: int) -> np.dtype[np.void]:
     )
 
 
-def transmission_state_dtype(drives: int) -> np.dtype[np.void]:
+def transmission_state_dtype(drives: int) -> RecordType:
     """Return the type of the state."""
     return record_type(
         twist=drives,  # motor angle at the gear's output minus that of the driven side, rad

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.arm_dynamics import body_dtype, manipulator_dtype, manipulator_record
-from rx90_common.base.arrays import Array, Record, record_type
+from rx90_common.base.arrays import Array, Record, RecordType, record_type
 from rx90_common.base.errors import ConfigError, DivergenceError
 from rx90_common.base.rates import Rates, ticks_per
 from rx90_common.description.coupling import (
@@ -47,7 +47,7 @@ _MAX_CORRECTIONS = 50
 
 
 @cache
-def plant_dtype(arm: ArmSize) -> np.dtype[np.void]:
+def plant_dtype(arm: ArmSize) -> RecordType:
     """Return the type of the constants of a plant."""
     n, e, _ = arm
     return record_type(
@@ -75,7 +75,7 @@ def plant_dtype(arm: ArmSize) -> np.dtype[np.void]:
 
 
 @cache
-def state_dtype(arm: ArmSize) -> np.dtype[np.void]:
+def state_dtype(arm: ArmSize) -> RecordType:
     """Return the type of the state of a plant."""
     n, e, _ = arm
     return record_type(

@@ -166,7 +166,7 @@ def _ratio(element: FrictionElement) -> float:
     """Return how many times the friction torque of one direction is that of the other."""
     if element.curve is not None:
         return element.curve.ratio
-    torques = [(torque.positive, torque.negative) for torque in (element.tau_c, element.tau_s)]
+    torques = element.tau_c.both, element.tau_s.both
     return max(max(both) / min(both) for both in torques)
 
 

@@ -166,10 +166,17 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
     """
     _, windows, unused = _usable(records, sliding_window)
     bends = find_bends(windows) if windows else []
-    unused += [
-        _bent(window.record, bend) for window, bend in zip(windows, bends, strict=True) if bend
-    ]
-    windows = [window for window, bend in zip(windows, bends, strict=True) if not bend]
+    straight = []
+    for window, bend in zip(windows, bends, strict=True):
+        if bend is None:
+            straight.append(window)
+            continue
+        fault = (
+            f"{window.record.label}: the velocity follows no straight asymptote, its slope goes from "
+            f"{bend[0]:.4g} to {bend[1]:.4g} rad/s²; saturation, or a transient that is not over"
+        )
+        unused.append(IdentificationError(fault))
+    windows = straight
     if not windows:
         raise unused[0]
     fit = fit_sliding(windows)
@@ -198,13 +205,6 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
         spread=fit.spread,
         effect=fit.effect,
         unused=tuple(map(str, unused)),
-    )
-
-
-def _bent(record: RampRecord, slopes: tuple[float, float]) -> IdentificationError:
-    return IdentificationError(
-        f"{record.label}: the velocity follows no straight asymptote, its slope goes from "
-        f"{slopes[0]:.4g} to {slopes[1]:.4g} rad/s²; saturation, or a transient that is not over"
     )
 
 

@@ -20,8 +20,8 @@ from friction_bench.experiment.report import write_friction, write_result
 from friction_bench.experiment.session import (
     LIMITS_SHARE,
     armed,
-    last_near_limits,
     measuring,
+    near_limits,
     new_measurement,
     refuse_fault,
     sample_columns,
@@ -101,7 +101,7 @@ def _follow(
     client: RigClient, first: list[Sample], on_sample: Callable[[Sample], None]
 ) -> list[Sample]:
     samples = [sample for sample in first if sample.report.state == State.RAMPING]
-    while not last_near_limits(client.rig, samples):
+    while not near_limits(client.rig, samples):
         for sample in client.pump():
             refuse_fault(sample)
             if sample.report.ramp_done:

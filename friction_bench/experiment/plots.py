@@ -66,23 +66,16 @@ def four_ways(comparison: FourWay) -> list[figure]:
     *_, closed = comparison.velocities.values()
     for k, (name, velocity) in enumerate(comparison.velocities.items()):
         width = 1.0 if name == EXPERIMENT else 1.8
-        above.line(
-            comparison.time,
-            velocity,
-            name=name,
-            color=COLOURS[k],
-            line_width=width,
-            line_dash=_DASHES[k],
-        )
         difference = 100 * (velocity - closed) / closed[-1]
-        below.line(
-            comparison.time,
-            difference,
-            name=name,
-            color=COLOURS[k],
-            line_width=width,
-            line_dash=_DASHES[k],
-        )
+        for shown, values in ((above, velocity), (below, difference)):
+            shown.line(
+                comparison.time,
+                values,
+                name=name,
+                color=COLOURS[k],
+                line_width=width,
+                line_dash=_DASHES[k],
+            )
     return [above, below]
 
 

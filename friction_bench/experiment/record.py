@@ -77,9 +77,7 @@ class RampModel:
     def angle(self, time: ArrayLike) -> Array:
         """Return the angle since rest, rad."""
         s, T, a = self._since_release(time)
-        return np.asarray(
-            a * s * s / 2 + (self.release / self.viscous - a * T) * (s + T * np.expm1(-s / T))
-        )
+        return a * s * s / 2 + (self.release / self.viscous - a * T) * (s + T * np.expm1(-s / T))
 
     def _since_release(self, time: ArrayLike) -> tuple[Array, float, float]:
         """Return s, s, T, s, and a, rad/s²."""

@@ -26,10 +26,11 @@ from friction_bench.rig.rig_file import TRAVEL_UNIT, Rig
 from friction_bench.rig.serial_port import SerialPort
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.writing import write_joint_states
-from rx90_common.base.arrays import Array, Mask
-from rx90_common.base.errors import ConfigError, FailureError, Rx90Error, write_error
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError, FailureError, write_error
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
+from rx90_common.process.files import made_folder
 from rx90_common.process.interrupts import deferred_interrupts
 
 _EMULATED = re.compile(r"emulated(?::(\d{1,9}))?")
@@ -125,12 +126,8 @@ def measuring(options: argparse.Namespace, rig: Rig, seconds: float) -> Iterator
             ) from None
         session.client.connect()
 
-    with ExitStack() as resources:
-        try:
-            port, couple = opened(options.port, rig)
-        except Rx90Error:
-            out.rmdir()
-            raise
+    with made_folder(out), ExitStack() as resources:
+        port, couple = opened(options.port, rig)
         resources.callback(port.close)
         session = Session(RigClient(port, rig), couple or ask, None)
         try:
@@ -146,8 +143,6 @@ def measuring(options: argparse.Namespace, rig: Rig, seconds: float) -> Iterator
                 resources.close()
                 if session.samples:
                     write_joint_states(out / "bag", readings_series(session.samples, rig))
-                else:
-                    out.rmdir()
 
 
 def readings_series(samples: list[Sample], rig: Rig) -> list[JointSeries]:
@@ -225,23 +220,18 @@ def armed(client: RigClient) -> Iterator[None]:
         raise
 
 
-def near_limits(rig: Rig, counts: Array) -> Mask:
-    """Tell for each reading of a motion whether it lies near the rig's limits of travel or speed, shape (n,).
+def near_limits(rig: Rig, samples: list[Sample]) -> bool:
+    """Tell whether the last reading of a motion lies near the limits of travel or speed, at which the firmware trips.
 
     Args:
-        rig: whose firmware trips at the limits themselves.
-        counts: of the encoder since the rig was armed, shape (n,).
+        rig: with the limits.
+        samples: since the rig was armed.
     """
-    travel, speed = rig.limit_codes()
-    moved = np.abs(counts - counts[0])
-    before = np.concatenate((np.zeros(SPEED_TICKS), counts - counts[0]))[: moved.size]
-    too_fast = np.abs(counts - counts[0] - before) > LIMITS_SHARE * speed * SPEED_TICKS
-    return np.asarray((moved > LIMITS_SHARE * travel * TRAVEL_UNIT) | too_fast)
-
-
-def last_near_limits(rig: Rig, samples: list[Sample]) -> bool:
-    """Tell whether the last reading of a motion lies near the rig's limits."""
     if len(samples) <= SPEED_TICKS:
         return False
-    window = [samples[0].counts, *(sample.counts for sample in samples[-SPEED_TICKS - 1 :])]
-    return bool(near_limits(rig, np.array(window, dtype=np.float64))[-1])
+    travel, speed = rig.limit_codes()
+    last = samples[-1].counts
+    moved = abs(last - samples[0].counts)
+    lately = abs(last - samples[-1 - SPEED_TICKS].counts)
+    too_far = moved > LIMITS_SHARE * travel * TRAVEL_UNIT
+    return too_far or lately > LIMITS_SHARE * speed * SPEED_TICKS

@@ -182,24 +182,17 @@ class _Ramps:
         low, high = effect or self.speeds
         usual_kappa = USUAL_RISE * max(abs(float(self.level[1])), 1e-9)
         usual_T = min(max(2.5 * tick, 0.05 * longest), self.longest_transient / 2.0)
-        start = np.array([*self.level, usual_T, 0.0, (low + high) / 2.0, 0.0])
-        spread = np.array(
-            [np.inf, np.inf, LONGEST * longest, usual_kappa, (high - low) / 2.0, EXPONENT_DEVIATION]
-        )
-        lower = np.array(
-            [-np.inf, -np.inf, SHORTEST * tick, 0.0, 2.0 * low - high, -3.0 * EXPONENT_DEVIATION]
-        )
-        upper = np.array(
-            [
-                np.inf,
-                np.inf,
-                self.longest_transient,
-                np.inf,
-                2.0 * high - low,
-                3.0 * EXPONENT_DEVIATION,
-            ]
-        )
-        used = slice(_KAPPA if effect is None else None)
+        alpha, beta = self.level
+        last = 3.0 * EXPONENT_DEVIATION
+        known = [  # of each parameter: where it begins, its deviation, and its bounds
+            (alpha, np.inf, -np.inf, np.inf),
+            (beta, np.inf, -np.inf, np.inf),
+            (usual_T, LONGEST * longest, SHORTEST * tick, self.longest_transient),
+            (0.0, usual_kappa, 0.0, np.inf),
+            ((low + high) / 2.0, (high - low) / 2.0, 2.0 * low - high, 2.0 * high - low),
+            (0.0, EXPONENT_DEVIATION, -last, last),
+        ]
+        start, spread, lower, upper = np.array(known[: _KAPPA if effect is None else None]).T.copy()
         block = self.block
 
         def model(x: Array) -> tuple[Array, Array]:
@@ -210,12 +203,13 @@ class _Ramps:
             target=np.zeros(len(block)),
             linear=np.empty((len(block), 0)),
             model=model,
-            start=start[used],
-            lower=lower[used],
-            upper=upper[used],
+            start=start,
+            lower=lower,
+            upper=upper,
             group=np.zeros(len(block), dtype=np.intp),
             block=block,
-            spread=spread[used],
+            prior=np.empty((0, 0)),
+            spread=spread,
         )
 
     def _columns(self, k: int, x: Array) -> Array:

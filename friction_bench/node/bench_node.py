@@ -27,7 +27,7 @@ from rx90_common.base.quoting import one_line, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.share import SHIPPED_RIG, resolve_config
 from rx90_common.exchange.endpoints import REQUEST_QOS, ros_time
-from rx90_common.exchange.lifecycle import Diagnostics
+from rx90_common.exchange.lifecycle import publish_diagnostics
 from rx90_common.exchange.lifecycle import spin as spin_node
 from rx90_common.exchange.parameters import (
     NodeModel,
@@ -136,7 +136,7 @@ class BenchNode:
             lambda text: log.info(one_line(f"{port}: {text}")),
         )
         self._timer = node.create_timer(_ALIVE_PERIOD, self._link.alive)
-        self._diagnostics = Diagnostics(node, self._collect)
+        publish_diagnostics(node, self._collect)
         # Requests that wait for the rig have a thread of their own; a stop never queues behind them.
         waiting = MutuallyExclusiveCallbackGroup()
         urgent = MutuallyExclusiveCallbackGroup()

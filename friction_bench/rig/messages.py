@@ -158,25 +158,29 @@ class State(IntEnum):
 
 
 class CommandResult(IntEnum):
-    """What became of the last command, by its number, and in words."""
+    """What became of the last command."""
 
-    text: str
+    OK = 0
+    UNKNOWN = 1
+    LENGTH = 2
+    VERSION = 3
+    NO_HELLO = 4
+    FAULT = 5
+    STATE = 6
+    RANGE = 7
 
-    OK = 0, "done"
-    UNKNOWN = 1, "the rig does not know this command"
-    LENGTH = 2, "the command has a wrong length"
-    VERSION = 3, "the rig speaks another protocol version"
-    NO_HELLO = 4, "the rig has not been greeted since its last reset"
-    FAULT = 5, "a fault is latched; clear it first"
-    STATE = 6, "not possible in the rig's present state"
-    RANGE = 7, "a value is outside the firmware's limits"
 
-    def __new__(cls, number: int, text: str) -> CommandResult:
-        """Return the result of a number, with its words."""
-        member = int.__new__(cls, number)
-        member._value_ = number
-        member.text = text
-        return member
+_RESULT_TEXTS = (
+    "done",
+    "the rig does not know this command",
+    "the command has a wrong length",
+    "the rig speaks another protocol version",
+    "the rig has not been greeted since its last reset",
+    "a fault is latched; clear it first",
+    "not possible in the rig's present state",
+    "a value is outside the firmware's limits",
+)
+"""By the number of a CommandResult."""
 
 
 class Fault(IntFlag):
@@ -277,8 +281,8 @@ class Report(NamedTuple):
     @property
     def result_text(self) -> str:
         """Return the result of the last command, in words."""
-        known = self.result in CommandResult.__members__.values()
-        return CommandResult(self.result).text if known else f"unknown result {self.result}"  # type: ignore[call-arg]
+        known = self.result < len(_RESULT_TEXTS)
+        return _RESULT_TEXTS[self.result] if known else f"unknown result {self.result}"
 
 
 def parse_hello(frame: Frame) -> HelloReply | None:

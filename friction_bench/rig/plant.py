@@ -55,11 +55,9 @@ def shaft_of(rig: Rig, loaded: bool) -> Shaft:
         )
     load_inertia = p.load_inertia + (p.joint_inertia if loaded else 0.0)
     inertia = p.motor.rotor_inertia + load_inertia / (rig.gear.ratio**2 * rig.gear.efficiency)
-    viscous = (
-        p.motor_friction.viscous * (1.0 + p.motor_friction.warming)
-        if loaded
-        else p.motor_friction.viscous
-    )
+    viscous = p.motor_friction.viscous
+    if loaded:
+        viscous *= 1.0 + p.motor_friction.warming
     if not loaded or not isinstance(p.joint, JointFriction):
         return Shaft(inertia, p.motor_friction.coulomb, viscous)
     coulomb = p.motor_friction.coulomb + p.joint.coulomb / rig.joint_scale

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from friction_bench.rig.messages import HelloReply, RigInputError
 from rx90_common.base.arrays import Array
-from rx90_common.base.models import FileModel, quantity, read_model, refusal
+from rx90_common.base.models import FileModel, NotNegative, Positive, quantity, read_model, refusal
 from rx90_common.friction.element import FrictionElement
 
 CODES = 255
@@ -32,8 +32,8 @@ class JointFriction(FileModel):
     """Coulomb and viscous friction of the revolute joint at the load."""
 
     model: Literal["coulomb_viscous"]
-    coulomb: Annotated[float, quantity("Nm", "Coulomb friction.", ge=0.0)]
-    viscous: Annotated[float, quantity("Nm s/rad", "Viscous friction.", ge=0.0)]
+    coulomb: Annotated[NotNegative, quantity("Nm", "Coulomb friction.")]
+    viscous: Annotated[NotNegative, quantity("Nm s/rad", "Viscous friction.")]
 
 
 class LuGreJoint(FileModel):
@@ -55,37 +55,32 @@ class LuGreJoint(FileModel):
 class Motor(FileModel):
     """The motor."""
 
-    torque_constant: Annotated[float, quantity("Nm/A", "Torque per current.", gt=0.0)]
-    resistance: Annotated[float, quantity("ohm", "Resistance of the winding.", gt=0.0)]
-    supply: Annotated[float, quantity("V", "Supply voltage.", gt=0.0)]
-    rotor_inertia: Annotated[float, quantity("kg m^2", "Rotor inertia, motor side.", gt=0.0)]
+    torque_constant: Annotated[Positive, quantity("Nm/A", "Torque per current.")]
+    resistance: Annotated[Positive, quantity("ohm", "Resistance of the winding.")]
+    supply: Annotated[Positive, quantity("V", "Supply voltage.")]
+    rotor_inertia: Annotated[Positive, quantity("kg m^2", "Rotor inertia, motor side.")]
 
 
 class Amplifier(FileModel):
     """The amplifier."""
 
     gain_error: Annotated[
-        float,
-        quantity(
-            "1", "Relative standard deviation of the gain, drawn once per rig.", ge=0.0, le=0.2
-        ),
+        NotNegative,
+        quantity("1", "Relative standard deviation of the gain, drawn once per rig.", le=0.2),
     ]
     torque_noise: Annotated[
-        float, quantity("Nm", "Standard deviation of 1 ms means of the torque.", ge=0.0)
+        NotNegative, quantity("Nm", "Standard deviation of 1 ms means of the torque.")
     ]
-    adc_noise: Annotated[float, quantity("Nm", "Standard deviation of a reading.", ge=0.0)]
+    adc_noise: Annotated[NotNegative, quantity("Nm", "Standard deviation of a reading.")]
     ramp_error: Annotated[
-        float,
-        quantity(
-            "1", "Relative standard deviation of the torque, drawn for each ramp.", ge=0.0, le=0.2
-        ),
+        NotNegative,
+        quantity("1", "Relative standard deviation of the torque, drawn for each ramp.", le=0.2),
     ] = 0.0
     off_time: Annotated[
-        float,
+        NotNegative,
         quantity(
             "s",
             "For which each tick of a ramp switches the stage off; the firmware is built PULSED.",
-            ge=0.0,
             le=1e-3,
         ),
     ] = 0.0
@@ -94,8 +89,8 @@ class Amplifier(FileModel):
 class MotorFriction(FileModel):
     """Friction of motor, brushes, gear and bearings, motor side."""
 
-    coulomb: Annotated[float, quantity("Nm", "Coulomb friction.", ge=0.0)]
-    viscous: Annotated[float, quantity("Nm s/rad", "Viscous friction.", gt=0.0)]
+    coulomb: Annotated[NotNegative, quantity("Nm", "Coulomb friction.")]
+    viscous: Annotated[Positive, quantity("Nm s/rad", "Viscous friction.")]
     warming: Annotated[
         float,
         quantity(
@@ -113,10 +108,10 @@ class Emulation(FileModel):
     motor: Motor
     amplifier: Amplifier
     load_inertia: Annotated[
-        float, quantity("kg m^2", "Inertia of the load shaft alone, load side.", ge=0.0)
+        NotNegative, quantity("kg m^2", "Inertia of the load shaft alone, load side.")
     ]
     joint_inertia: Annotated[
-        float, quantity("kg m^2", "Inertia that the joint adds, load side.", ge=0.0)
+        NotNegative, quantity("kg m^2", "Inertia that the joint adds, load side.")
     ]
     motor_friction: MotorFriction
     joint_friction: Annotated[
@@ -124,11 +119,10 @@ class Emulation(FileModel):
         Field(discriminator="model", description="Friction of the joint, load side."),
     ]
     joint_spread: Annotated[
-        float,
+        NotNegative,
         quantity(
             "1",
             "Relative standard deviation of the joint's Coulomb friction, drawn for each ramp.",
-            ge=0.0,
             le=0.3,
         ),
     ] = 0.0
@@ -159,11 +153,11 @@ class RampPlan(FileModel):
         Field(strict=False),
         quantity("Nm/s", "Slopes; a file has two."),
     ]
-    end_torque: Annotated[float, quantity("Nm", "End torque without the joint.", gt=0.0)]
-    end_torque_loaded: Annotated[float, quantity("Nm", "End torque with the joint.", gt=0.0)]
+    end_torque: Annotated[Positive, quantity("Nm", "End torque without the joint.")]
+    end_torque_loaded: Annotated[Positive, quantity("Nm", "End torque with the joint.")]
     repeats: Annotated[int, Field(ge=1, le=1000, description="Ramps of each slope.")]
     hold: Annotated[
-        float, quantity("s", "How long the firmware holds the end torque.", ge=0.0, le=5.0)
+        NotNegative, quantity("s", "How long the firmware holds the end torque.", le=5.0)
     ] = 0.0
 
     def end(self, loaded: bool) -> float:
@@ -178,20 +172,20 @@ class RampPlan(FileModel):
 class Gear(FileModel):
     """The gear."""
 
-    ratio: Annotated[float, quantity("1", "Motor turns per turn of the load shaft.", gt=0.0)]
-    efficiency: Annotated[float, quantity("1", "Efficiency.", gt=0.0, le=1.0)]
+    ratio: Annotated[Positive, quantity("1", "Motor turns per turn of the load shaft.")]
+    efficiency: Annotated[Positive, quantity("1", "Efficiency.", le=1.0)]
     efficiency_uncertainty: Annotated[
-        float, quantity("1", "Standard uncertainty of the efficiency.", ge=0.0, le=0.5)
+        NotNegative, quantity("1", "Standard uncertainty of the efficiency.", le=0.5)
     ]
 
 
 class TorqueScales(FileModel):
     """Scales of the torque; those of the converters are built into the firmware, too."""
 
-    dac_full_scale: Annotated[float, quantity("Nm", "Commanded torque at code 255.", gt=0.0)]
-    adc_full_scale: Annotated[float, quantity("Nm", "Measured torque at code 255.", gt=0.0)]
+    dac_full_scale: Annotated[Positive, quantity("Nm", "Commanded torque at code 255.")]
+    adc_full_scale: Annotated[Positive, quantity("Nm", "Measured torque at code 255.")]
     scale_uncertainty: Annotated[
-        float, quantity("1", "Relative standard uncertainty of the torque scale.", ge=0.0, le=0.5)
+        NotNegative, quantity("1", "Relative standard uncertainty of the torque scale.", le=0.5)
     ]
     limit_lifted: Annotated[
         bool,
@@ -214,9 +208,9 @@ class Limits(FileModel):
     """What stops the rig."""
 
     load_travel: Annotated[
-        float, quantity("1", "Turns of the load shaft that one arming allows.", gt=0.0)
+        Positive, quantity("1", "Turns of the load shaft that one arming allows.")
     ]
-    speed: Annotated[float, quantity("rad/s", "Highest speed of the motor.", gt=0.0)]
+    speed: Annotated[Positive, quantity("rad/s", "Highest speed of the motor.")]
 
 
 class RigFile(FileModel):

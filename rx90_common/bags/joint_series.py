@@ -71,8 +71,9 @@ class JointSeries:
     @property
     def units(self) -> dict[str, str]:
         """Return the unit of each field."""
-        pairs = quantities(self.topic, self.effort_unit)
-        return {field: unit for field, (_, unit) in pairs.items()}
+        return {
+            field: unit for field, (_, unit) in quantities(self.topic, self.effort_unit).items()
+        }
 
     @property
     def time(self) -> Array:

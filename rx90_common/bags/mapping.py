@@ -262,8 +262,15 @@ class SignalMapFile(MessageColumns):
 
 
 MESSAGE_KEYS = (
-    *("topic", "names", "gear", "coupling", "torque_constant", "zero"),
-    *("spring", "torque_delay", "record_time"),
+    "topic",
+    "names",
+    "gear",
+    "coupling",
+    "torque_constant",
+    "zero",
+    "spring",
+    "torque_delay",
+    "record_time",
 )
 """Those of them that describe messages and drives; some are options of commands, too."""
 

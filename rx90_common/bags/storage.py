@@ -63,16 +63,13 @@ class BagTopic:
         return self.msgtype == JOINT_STATE and self.encoding in ("cdr", "ros1")
 
 
-def full_type(msgtype: str) -> str:
-    """Return the name of a type as ROS 2 has it now: `sensor_msgs/JointState` is `sensor_msgs/msg/JointState`."""
-    package, slash, name = msgtype.partition("/")
-    return f"{package}/msg/{name}" if slash and "/" not in name else msgtype
-
-
 def topic_of(connection: Connection) -> BagTopic:
-    """Return the topic of a connection as rosbags has it."""
+    """Return the topic of a connection as rosbags has it, its type as ROS 2 has it now, such as std_msgs/msg/Bool."""
     encoding = getattr(connection.ext, "serialization_format", "ros1")
-    return BagTopic(connection.topic, full_type(connection.msgtype), connection.msgcount, encoding)
+    msgtype = connection.msgtype
+    if msgtype.count("/") == 1:
+        msgtype = msgtype.replace("/", "/msg/")
+    return BagTopic(connection.topic, msgtype, connection.msgcount, encoding)
 
 
 @contextmanager

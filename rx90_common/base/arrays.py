@@ -15,9 +15,10 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 Record = NDArray[Any]
 """Of a structured type, as compiled code reads and changes it."""
+RecordType = np.dtype[np.void]
 
 
-def record_type(*fields: Any, **contents: Any) -> np.dtype[np.void]:
+def record_type(*fields: Any, **contents: Any) -> RecordType:
     """Return the type of a record as compiled code reads it, aligned.
 
     Args:

@@ -105,18 +105,10 @@ class OutputError(FailureError):
     """Standard output or a file cannot be written."""
 
 
-def write_error(path: object, error: OSError, accepted: str = "") -> Rx90Error:
-    """Return why a file cannot be written: refused for its path, or failed for a disk that is full or broken.
-
-    Args:
-        path: the file.
-        error: of the system.
-        accepted: an acceptable place, if there is one to name.
-    """
+def write_error(path: object, error: OSError) -> Rx90Error:
+    """Return why a file cannot be written: refused for its path, or failed for a disk that is full or broken."""
     kind = OutputError if error.errno in DISK_ERRORS else ConfigError
-    return kind(
-        f"{plain(path)}: cannot be written ({error.strerror}){'; accepted: ' * bool(accepted)}{accepted}"
-    )
+    return kind(f"{plain(path)}: cannot be written ({error.strerror})")
 
 
 def check_place(path: Path) -> None:

@@ -14,7 +14,7 @@ accepted. What is accepted comes from the field's JSON schema, or from `accepted
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -27,11 +27,10 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
-    GetJsonSchemaHandler,
     ValidationError,
     model_validator,
 )
-from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError
+from pydantic_core import ErrorDetails, PydanticCustomError
 
 from rx90_common.base.arrays import MAX_JOINTS
 from rx90_common.base.config import read_yaml, yaml_text
@@ -52,7 +51,6 @@ _MISSING = {"missing", _NO_KIND}
 _MAX_FAULTS = 20
 """That are told at most."""
 _SIGNS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
-_NULL = {"type": "null"}
 _OF_ALL_KINDS: Final[tuple[str, ...]] = (
     "accepted",
     "description",
@@ -150,8 +148,14 @@ class Some(Named[Item], Generic[Item]):
         return self
 
 
+def _require_one(schema: JsonSchema, model: type[OneOf]) -> None:
+    schema["oneOf"] = [{"required": [key]} for key in model.one_of]
+
+
 class OneOf(FileModel):
     """A mapping that has exactly one of some keys."""
+
+    model_config = ConfigDict(json_schema_extra=_require_one)
 
     one_of: ClassVar[tuple[str, ...]]
 
@@ -163,15 +167,6 @@ class OneOf(FileModel):
                 f"has {' and '.join(given) or 'none'} of {', '.join(self.one_of)}; accepted: one of them"
             )
         return self
-
-    @classmethod
-    def __get_pydantic_json_schema__(
-        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> JsonSchema:
-        """Return the schema, with the rule."""
-        schema = handler.resolve_ref_schema(handler(core_schema))
-        schema["oneOf"] = [{"required": [key]} for key in cls.one_of]
-        return schema
 
 
 def quantity(
@@ -391,39 +386,36 @@ def fault_lines(
         if fault["type"] == _UNKNOWN_KEY:
             near = nearest(str(place[-1]), (key for key in around if not _holds(given, key)))
             meant.add((*place[:-1], near))
-            lines.append(_unknown_key(_where(where, place), near, around))
+            lines.append(_unknown_key(place, near, around))
         elif fault["type"] in _MISSING and place in meant:
             continue  # one mistake would be told twice
         elif fault["type"] == _NO_KIND and (
             odd := nearest(str(place[-1]), given.keys() - around.keys())
         ):
-            lines.insert(0, _unknown_key(_where(where, (*place[:-1], odd)), str(place[-1]), around))
+            lines.insert(0, _unknown_key((*place[:-1], odd), str(place[-1]), around))
         elif not any(inner != place and inner[: len(place)] == place for _, inner in faults):
             # else of several kinds of value another is meant
-            lines.append(_line(schema, fault, place, where, content))
-    lines = list(dict.fromkeys(lines))  # two kinds of a union, or both signs, say the same
+            lines.append(_line(schema, fault, place, content))
     if len(every) > _MAX_FAULTS:
-        lines.append(
-            f"{where}{': ' if where else ''}{len(every) - _MAX_FAULTS:,} more faults, which are not told"
-        )
-    return lines
+        lines.append(f"{len(every) - _MAX_FAULTS:,} more faults, which are not told")
+    # Two kinds of a union, or both signs, say the same.
+    return [f"{where}: {line}" if where else line for line in dict.fromkeys(lines)]
 
 
-def _unknown_key(place: str, near: str, around: JsonSchema) -> str:
+def _unknown_key(place: Place, near: str, around: JsonSchema) -> str:
     keys = ", ".join(key for key in around if key not in FileModel.about_keys)
-    return f"{place} is not a known key{question(near)}; accepted: {keys}"
+    return f"{_path(place)} is not a known key{question(near)}; accepted: {keys}"
 
 
-def accepted_values(schema: JsonSchema, root: JsonSchema | None = None) -> str:
+def accepted_values(schema: JsonSchema, root: JsonSchema) -> str:
     """Return in words what a JSON schema accepts.
 
     Args:
         schema: of a value.
         root: the schema that defines what its references stand for.
     """
-    schema = _resolved(schema, root or {})
-    alternatives = schema.get("anyOf") or schema.get("oneOf") or ()
-    kinds = [kind for kind in alternatives if kind.get("type") != "null"]
+    schema = _resolved(schema, root)
+    kinds = _alternatives(schema)
     kind = str(schema.get("type", ""))
     if "accepted" in schema:
         words = str(schema["accepted"])
@@ -457,8 +449,8 @@ def _number_text(number: float | None) -> str:
     return str(number) if isinstance(number, int) else f"{number:g}"
 
 
-def _list_in_words(schema: JsonSchema, root: JsonSchema | None) -> str:
-    item = _resolved(schema.get("items", {}), root or {})
+def _list_in_words(schema: JsonSchema, root: JsonSchema) -> str:
+    item = _resolved(schema.get("items", {}), root)
     nouns = {
         "number": "number",
         "integer": "integer",
@@ -477,40 +469,28 @@ def _list_in_words(schema: JsonSchema, root: JsonSchema | None) -> str:
         text = f"a list of {least} {noun}{'' if least == 1 else 's'}"
     else:
         text = f"a list of {least} to {most} {noun}s"
-    ranged = {
-        "minimum",
-        "maximum",
-        "exclusiveMinimum",
-        "exclusiveMaximum",
-        "accepted",
-    } & item.keys()
+    ranged = {*_SIGNS, "accepted"} & item.keys()
     return f"{text}, each {accepted_values(item, root)}" if ranged else text
 
 
-def _line(schema: JsonSchema, fault: ErrorDetails, place: Place, where: str, content: Any) -> str:
+def _line(schema: JsonSchema, fault: ErrorDetails, place: Place, content: Any) -> str:
     context = fault.get("ctx", {})
     if fault["type"] == _REFUSED:
-        return f"{_where(where, (*place, context['key']))} is {context['value']}; accepted: {context['accepted']}"
+        return f"{_path((*place, context['key']))} is {context['value']}; accepted: {context['accepted']}"
     if fault["type"] == "value_error":
-        return (
-            f"{_where(where, place)}: {context['error']}"
-            if place or where
-            else str(context["error"])
-        )
+        return f"{_path(place)}: {context['error']}" if place else str(context["error"])
     accepted = accepted_values(schema_at(schema, place, content), schema)
     if fault["type"] in _MISSING:
-        return f"{_where(where, place)} is missing; accepted: {accepted}"
+        return f"{_path(place)} is missing; accepted: {accepted}"
     if fault["type"] == "finite_number":
         accepted = accepted.replace("a number", "a finite number", 1)
     value = context["tag"] if fault["type"] == _UNKNOWN_KIND else fault["input"]
-    return f"{_where(where, place)} is {quoted(value)}; accepted: {accepted}"
+    return f"{_path(place)} is {quoted(value)}; accepted: {accepted}"
 
 
-def _where(where: str, place: Sequence[str | int]) -> str:
-    path = "".join(
-        f"[{key}]" if isinstance(key, int) else f".{plain(key)}" for key in place
-    ).removeprefix(".")
-    return ": ".join(filter(None, (where, path))) or "the value"
+def _path(place: Place) -> str:
+    keys = (f"[{key}]" if isinstance(key, int) else f".{plain(key)}" for key in place)
+    return "".join(keys).removeprefix(".") or "the value"
 
 
 def _place_of(fault: ErrorDetails, schema: JsonSchema, content: Any) -> Place:
@@ -529,12 +509,8 @@ def _place_of(fault: ErrorDetails, schema: JsonSchema, content: Any) -> Place:
         elif _holds(value, key):
             place.append(key)
             value = value[key]
-            chooser = (
-                schema_at(schema, tuple(place), content)
-                .get("discriminator", {})
-                .get("propertyName")
-            )
-            kind = value_at(value, (chooser,))
+            union = schema_at(schema, tuple(place), content).get("discriminator", {})
+            kind = value_at(value, (union.get("propertyName"),))
     if fault["type"] == "missing":
         place.append(fault["loc"][-1])
     elif "discriminator" in fault.get("ctx", {}):
@@ -571,17 +547,23 @@ def schema_at(root: JsonSchema, place: Place, content: Any = None) -> JsonSchema
         place: of the value.
         content: of the whole, if it is known: tells which of several kinds a value is meant for.
     """
-    schema = root
-    for k, key in enumerate(place):
-        schema = _inner(_meant(schema, root, value_at(content, place[:k])), key)
-    return _meant(schema, root, value_at(content, place))
+    schema = _meant(root, root, content)
+    for key in place:
+        content = value_at(content, (key,))
+        schema = _meant(_inner(schema, key), root, content)
+    return schema
+
+
+def _alternatives(schema: JsonSchema) -> list[JsonSchema]:
+    """Return the schemas of all kinds of value that a schema accepts, but for null; of a single kind none."""
+    kinds = schema.get("anyOf") or schema.get("oneOf") or ()
+    return [kind for kind in kinds if kind.get("type") != "null"]
 
 
 def _meant(schema: JsonSchema, root: JsonSchema, value: Any) -> JsonSchema:
     """Return that kind of value which a value is meant for; of values without keys all kinds together."""
     schema = _resolved(schema, root)
-    alternatives = schema.get("anyOf") or schema.get("oneOf") or ()
-    kinds: list[JsonSchema] = [_meant(kind, root, value) for kind in alternatives if kind != _NULL]
+    kinds = [_meant(kind, root, value) for kind in _alternatives(schema)]
     if "properties" in schema or not kinds or (len(kinds) > 1 and not isinstance(value, Mapping)):
         return schema
     likest = max(kinds, key=lambda kind: _likeness(kind, value))

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 import reprlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
 from itertools import islice
+from typing import Any
 from unicodedata import category
 
 LIMIT = 120
@@ -35,21 +36,13 @@ def quoted(value: object, limit: int = LIMIT) -> str:
     """
     if isinstance(value, str | bytes | bytearray):
         text = value if isinstance(value, str) else bytes(value)
-        unit = "characters" if isinstance(text, str) else "bytes"
-        if len(text) <= limit:
-            return repr(text)
-        head, tail = _ends(limit)
-        return f"{text[:head]!r}{_ELLIPSIS}{text[len(text) - tail :]!r} ({len(text):,} {unit})"
+        return _shortened(text, limit, repr, "characters" if isinstance(text, str) else "bytes")
     return plain(_REPR.repr(value), limit)
 
 
 def plain(text: object, limit: int = LIMIT) -> str:
     """Return a name or a path without quotation marks: in one line; a longer one is shortened, with its length."""
-    whole = str(text)
-    if len(whole) <= limit:
-        return _escaped(whole)
-    head, tail = _ends(limit)
-    return f"{_escaped(whole[:head])}{_ELLIPSIS}{_escaped(whole[len(whole) - tail :])} ({len(whole):,} characters)"
+    return _shortened(str(text), limit, _escaped, "characters")
 
 
 def listed(names: Iterable[object], most: int = _MAX_NAMES) -> str:
@@ -64,10 +57,10 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'s' * (count != 1)}"
 
 
-def nearest(name: str, names: Iterable[str], likeness: float = 0.6) -> str:
-    """Return that of the accepted names which a misspelt one is most like, 0 to 1; an empty text if none is."""
+def nearest(name: str, names: Iterable[str]) -> str:
+    """Return that of the accepted names which a misspelt one is most like; an empty text if none is."""
     candidates = list(islice(names, _MAX_CANDIDATES))
-    return next(iter(get_close_matches(name[:_LONGEST_NAME], candidates, 1, likeness)), "")
+    return next(iter(get_close_matches(name[:_LONGEST_NAME], candidates, 1)), "")
 
 
 def question(name: str) -> str:
@@ -75,9 +68,9 @@ def question(name: str) -> str:
     return f" (did you mean {plain(name)}?)" if name else ""
 
 
-def one_line(text: object, limit: int = LINE_LIMIT) -> str:
+def one_line(text: object) -> str:
     """Return a whole message as one line of bounded length; the results of `quoted` and `plain` stay unchanged."""
-    return plain(text, limit)
+    return plain(text, LINE_LIMIT)
 
 
 def aligned(
@@ -93,10 +86,14 @@ def aligned(
     ]
 
 
-def _ends(limit: int) -> tuple[int, int]:
-    """Return how many characters of a long text are shown at its beginning and at its end."""
+def _shortened(text: Any, limit: int, show: Callable[[Any], str], unit: str) -> str:
+    """Return what shows a text; of a long one what shows its ends, with its length."""
+    if len(text) <= limit:
+        return show(text)
     tail = limit // 4
-    return limit - tail, tail
+    head = limit - tail
+    ends = f"{show(text[:head])}{_ELLIPSIS}{show(text[len(text) - tail :])}"
+    return f"{ends} ({len(text):,} {unit})"
 
 
 def _escaped(text: str) -> str:

@@ -209,19 +209,23 @@ def gear_type(arm: ArmSize) -> Any:
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def by_gear(of_wrist: Callable[..., Any], of_matrices: _Function) -> _Function:
-    """Return a function for kernels, whose first argument is the gears: an array of ratios, or a record with matrices.
+def by_gear(of_wrist: Callable[..., Any]) -> Callable[[_Function], _Function]:
+    """Return a decorator of a function for kernels, whose first argument is the gears.
+
+    The function is compiled for a record with matrices, the gears of any arm but those of the RX family.
 
     Args:
-        of_wrist: compiled for an array, the gears of the RX family.
-        of_matrices: compiled for a record, the gears of any other arm; with the same arguments.
+        of_wrist: compiled for an array, the ratios of the RX family; with the same arguments.
     """
 
-    def choose(gear: Any, *_: Any) -> Any:
-        return of_matrices if isinstance(gear, types.Record) else of_wrist
+    def decorate(of_matrices: _Function) -> _Function:
+        def choose(gear: Any, *_: Any) -> Any:
+            return of_matrices if isinstance(gear, types.Record) else of_wrist
 
-    choose.__qualname__ = of_matrices.__qualname__
-    return cast(_Function, by_type(choose))
+        choose.__qualname__ = of_matrices.__qualname__
+        return cast(_Function, by_type(choose))
+
+    return decorate
 
 
 @inlined
@@ -242,8 +246,10 @@ def times_lanes(columns: Any, x: Lanes) -> Lanes:
     return total
 
 
-ratios: Callable[[Any], Array] = by_gear(lambda gear: gear, lambda gear: gear.ratio)
-"""Return the gear ratios of the motors, shape (n,)."""
+@by_gear(lambda gear: gear)
+def ratios(gear: Any) -> Any:
+    """Return the gear ratios of the motors, shape (n,)."""
+    return gear.ratio
 
 
 def _to_motor_of_wrist(gear: Array, joint: Array, motor: Array) -> None:
@@ -252,15 +258,13 @@ def _to_motor_of_wrist(gear: Array, joint: Array, motor: Array) -> None:
     motor[5] = gear[5] * (joint[4] + joint[5])
 
 
-def _to_motor_of_matrices(gear: Any, joint: Array, motor: Array) -> None:
+@by_gear(_to_motor_of_wrist)
+def to_motor(gear: Any, joint: Array, motor: Array) -> None:
+    """Write motor positions (or velocities) for joint positions (or velocities), all shape (n,).
+
+    Here and below `gear` is declared by `gear_type`; outside of records it is an array, for the RX family's wrist.
+    """
     store(motor, load(gear.ratio, size(gear.ratio)) * times(gear.motor_columns, joint))
-
-
-to_motor = by_gear(_to_motor_of_wrist, _to_motor_of_matrices)
-"""Write motor positions (or velocities) for joint positions (or velocities), all shape (n,).
-
-Here and below `gear` is declared by `gear_type`; outside of records it is an array, for the RX family's wrist.
-"""
 
 
 def _to_joint_of_wrist(gear: Array, motor: Array, joint: Array) -> None:
@@ -269,13 +273,11 @@ def _to_joint_of_wrist(gear: Array, motor: Array, joint: Array) -> None:
     joint[5] = motor[5] / gear[5] - joint[4]
 
 
-def _to_joint_of_matrices(gear: Any, motor: Array, joint: Array) -> None:
+@by_gear(_to_joint_of_wrist)
+def to_joint(gear: Any, motor: Array, joint: Array) -> None:
+    """Write joint positions (or velocities) for motor positions (or velocities), all shape (n,)."""
     at_joints = load(motor, size(gear.ratio)) / load(gear.ratio, size(gear.ratio))
     store(joint, times_lanes(gear.joint_columns, at_joints))
-
-
-to_joint = by_gear(_to_joint_of_wrist, _to_joint_of_matrices)
-"""Write joint positions (or velocities) for motor positions (or velocities), all shape (n,)."""
 
 
 def _to_joint_torque_of_wrist(gear: Array, motor: Array, joint: Array) -> None:
@@ -284,15 +286,13 @@ def _to_joint_torque_of_wrist(gear: Array, motor: Array, joint: Array) -> None:
     joint[4] += joint[5]
 
 
-def _to_joint_torque_of_matrices(gear: Any, motor: Array, joint: Array) -> None:
+@by_gear(_to_joint_torque_of_wrist)
+def to_joint_torque(gear: Any, motor: Array, joint: Array) -> None:
+    """Write the joint torques that motor torques make, all shape (n,), Nm."""
     store(
         joint,
         times_lanes(gear.motor, load(gear.ratio, size(gear.ratio)) * load(motor, size(gear.ratio))),
     )
-
-
-to_joint_torque = by_gear(_to_joint_torque_of_wrist, _to_joint_torque_of_matrices)
-"""Write the joint torques that motor torques make, all shape (n,), Nm."""
 
 
 def _to_motor_torque_of_wrist(gear: Array, joint: Array, motor: Array) -> None:
@@ -301,12 +301,10 @@ def _to_motor_torque_of_wrist(gear: Array, joint: Array, motor: Array) -> None:
     motor[4] = (joint[4] - joint[5]) / gear[4]
 
 
-def _to_motor_torque_of_matrices(gear: Any, joint: Array, motor: Array) -> None:
+@by_gear(_to_motor_torque_of_wrist)
+def to_motor_torque(gear: Any, joint: Array, motor: Array) -> None:
+    """Write the motor torques that make joint torques, all shape (n,), Nm."""
     store(motor, times(gear.joint, joint) / load(gear.ratio, size(gear.ratio)))
-
-
-to_motor_torque = by_gear(_to_motor_torque_of_wrist, _to_motor_torque_of_matrices)
-"""Write the motor torques that make joint torques, all shape (n,), Nm."""
 
 
 def _add_drive_torques_of_wrist(_gear: Array, drive: Array, torque: Array) -> None:
@@ -315,12 +313,10 @@ def _add_drive_torques_of_wrist(_gear: Array, drive: Array, torque: Array) -> No
     torque[4] += drive[5]
 
 
-def _add_drive_torques_of_matrices(gear: Any, drive: Array, torque: Array) -> None:
+@by_gear(_add_drive_torques_of_wrist)
+def add_drive_torques(gear: Any, drive: Array, torque: Array) -> None:
+    """Add torques of the motors, converted by their gears, Nm, to those of the joints, both shape (n,)."""
     store(torque, load(torque, size(gear.ratio)) + times(gear.motor, drive))
-
-
-add_drive_torques = by_gear(_add_drive_torques_of_wrist, _add_drive_torques_of_matrices)
-"""Add torques of the motors, converted by their gears, Nm, to those of the joints, both shape (n,)."""
 
 
 def _share_among_drives_of_wrist(_gear: Array, torque: Array, drive: Array) -> None:
@@ -328,12 +324,10 @@ def _share_among_drives_of_wrist(_gear: Array, torque: Array, drive: Array) -> N
         drive[i] = torque[i] - (torque[5] if i == 4 else 0.0)
 
 
-def _share_among_drives_of_matrices(gear: Any, torque: Array, drive: Array) -> None:
+@by_gear(_share_among_drives_of_wrist)
+def share_among_drives(gear: Any, torque: Array, drive: Array) -> None:
+    """Write the motor torques, converted by their gears, that produce those of the joints, Nm, shape (n,)."""
     store(drive, times(gear.joint, torque))
-
-
-share_among_drives = by_gear(_share_among_drives_of_wrist, _share_among_drives_of_matrices)
-"""Write the motor torques, converted by their gears, that produce those of the joints, Nm, shape (n,)."""
 
 
 def _joints_as_motors_have_them_of_wrist(gear: Array, motor: Lanes) -> Lanes:
@@ -341,15 +335,11 @@ def _joints_as_motors_have_them_of_wrist(gear: Array, motor: Lanes) -> Lanes:
     return append(first(motor, 5), lane(motor, 5) - share * lane(motor, 4))
 
 
-def _joints_as_motors_have_them_of_matrices(gear: Any, motor: Lanes) -> Lanes:
+@by_gear(_joints_as_motors_have_them_of_wrist)
+def joints_as_motors_have_them(gear: Any, motor: Lanes) -> Lanes:
+    """Return the joints' positions (or velocities) times the ratios of their own motors, for those of motors; lanes."""
     ratio = load(gear.ratio, size(gear.ratio))
     return ratio * times_lanes(gear.joint_columns, motor / ratio)
-
-
-joints_as_motors_have_them = by_gear(
-    _joints_as_motors_have_them_of_wrist, _joints_as_motors_have_them_of_matrices
-)
-"""Return the joints' positions (or velocities) times the ratios of their own motors, for those of motors; lanes."""
 
 
 def _add_twist_of_wrist(
@@ -360,14 +350,10 @@ def _add_twist_of_wrist(
     total[5] -= share * twist[4]
 
 
-def _add_twist_of_matrices(
-    gear: Any, joint: Array, twist: Array, share: float, total: Array
-) -> None:
+@by_gear(_add_twist_of_wrist)
+def add_twist(gear: Any, joint: Array, twist: Array, share: float, total: Array) -> None:
+    """Write the joints' positions (or velocities) and a share of how far twists of the drives move them, shape (n,)."""
     store(total, load(joint, size(gear.ratio)) + share * times(gear.joint_columns, twist))
-
-
-add_twist = by_gear(_add_twist_of_wrist, _add_twist_of_matrices)
-"""Write the joints' positions (or velocities) and a share of how far twists of the drives move them, shape (n,)."""
 
 
 def _turn_of_drive_of_wrist(_gear: Array, joint: Array, drive: int) -> float:
@@ -375,15 +361,13 @@ def _turn_of_drive_of_wrist(_gear: Array, joint: Array, drive: int) -> float:
     return turn
 
 
-def _turn_of_drive_of_matrices(gear: Any, joint: Array, drive: int) -> float:
+@by_gear(_turn_of_drive_of_wrist)
+def turn_of_drive(gear: Any, joint: Array, drive: int) -> float:
+    """Return the turn of a motor, divided by its gear ratio, for turns of the joints, shape (n,)."""
     turn = 0.0
     for k in range(size(gear.ratio)):
         turn += gear.motor[drive, k] * joint[k]
     return turn
-
-
-turn_of_drive = by_gear(_turn_of_drive_of_wrist, _turn_of_drive_of_matrices)
-"""Return the turn of a motor, divided by its gear ratio, for turns of the joints, shape (n,)."""
 
 
 def _add_drive_of_wrist(
@@ -402,15 +386,13 @@ def _add_drive_of_wrist(
         joint[4] += torque
 
 
-def _add_drive_of_matrices(
+@by_gear(_add_drive_of_wrist)
+def add_drive(
     gear: Any, drive: int, inertia: float, torque: float, mass: Array, joint: Array
 ) -> None:
+    """Add inertia and torque of a motor, through its gear, to mass matrix (lower half) and torques of the joints."""
     for i in range(size(gear.ratio)):
         turn = gear.motor[drive, i]
         joint[i] += turn * torque
         for k in range(i + 1):
             mass[i, k] += turn * gear.motor[drive, k] * inertia
-
-
-add_drive = by_gear(_add_drive_of_wrist, _add_drive_of_matrices)
-"""Add inertia and torque of a motor, through its gear, to mass matrix (lower half) and torques of the joints."""

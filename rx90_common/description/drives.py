@@ -110,11 +110,10 @@ class CurrentSensor(FileModel):
         RowOf[NotNegative], quantity("A", "Step of the converter; 0 for none.")
     ] = (0.0,)
     bandwidth: Annotated[
-        float,
+        Positive,
         quantity(
             "Hz",
             "Bandwidth of the current loop, through which the errors act on the torque.",
-            gt=0.0,
         ),
     ]
 
@@ -152,7 +151,7 @@ class Windings(FileModel):
         20.0
     )
     coefficient: Annotated[
-        float, quantity("1/K", "Rise of the resistance with temperature.", ge=0.0, le=0.1)
+        NotNegative, quantity("1/K", "Rise of the resistance with temperature.", le=0.1)
     ] = COPPER
     derating: Annotated[
         _DegreesOrNever,
@@ -280,10 +279,8 @@ class Encoders(FileModel):
         ),
     ]
     velocity_bandwidth: Annotated[
-        float,
-        quantity(
-            "Hz", "Bandwidth of the drive's velocity observer.", gt=0.0, path="velocity_bandwidth"
-        ),
+        Positive,
+        quantity("Hz", "Bandwidth of the drive's velocity observer.", path="velocity_bandwidth"),
     ]
 
 

@@ -120,10 +120,8 @@ def path_error(positions: Array, start: Array, end: Array) -> PathError:
     direction = np.asarray(end, dtype=np.float64) - np.asarray(start, dtype=np.float64)
     if not direction.any():
         raise ValueError("a line needs two different points")
-    unit = direction / length(direction)
-    off = np.asarray(positions) - np.asarray(start)
-    along = dot(off, unit)
-    return PathError(along, length(off - np.multiply.outer(unit, along).T))
+    along, across = decompose(positions - np.asarray(start), direction)
+    return PathError(along, length(across))
 
 
 def nearest_corner(points: Array, corners: Array, near: Index | None = None) -> Index:

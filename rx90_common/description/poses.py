@@ -45,10 +45,9 @@ class Poses(FileModel):
     def check(self, robot: RobotModel) -> None:
         """Check that an arm reaches the poses."""
         check_pose("home", self.home.position, robot)
-        for number, pose in enumerate(self.sweeps.positions, 1):
-            check_pose(f"pose {number}", pose, robot)
-        for number, pose in enumerate(self.validation.positions, 1):
-            check_pose(f"pose {number} of the validation", pose, robot)
+        for poses, where in (self.sweeps, ""), (self.validation, " of the validation"):
+            for number, pose in enumerate(poses.positions, 1):
+                check_pose(f"pose {number}{where}", pose, robot)
 
 
 def check_pose(pose_name: str, pose: Sequence[float], robot: RobotModel) -> None:

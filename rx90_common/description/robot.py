@@ -18,7 +18,15 @@ from pydantic import Field, model_validator
 
 from rx90_common.base.arrays import MAX_JOINTS, Array
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import FileModel, Named, Triple, quantity, read_model, refusal
+from rx90_common.base.models import (
+    FileModel,
+    Named,
+    Positive,
+    Triple,
+    quantity,
+    read_model,
+    refusal,
+)
 from rx90_common.base.quoting import counted, plain, quoted
 from rx90_common.description.chain import RigidChain, rigid_chain
 from rx90_common.description.urdf import (
@@ -42,7 +50,7 @@ _Degrees: TypeAlias = Annotated[
 class Inertial(FileModel):
     """The tool as a rigid body."""
 
-    mass: Annotated[float, quantity("kg", "Mass.", gt=0.0)]
+    mass: Annotated[Positive, quantity("kg", "Mass.")]
     center_of_mass: Annotated[Triple, quantity("m", "Centre of mass.")]
     inertia: Annotated[
         Annotated[tuple[float, ...], Field(strict=False, min_length=6, max_length=6)],

@@ -108,8 +108,7 @@ def pinocchio_model(file: Path, root: ET.Element) -> Any:
         if joint.get("type") in TURNING and axis is not None and not any(_numbers(axis, "xyz")):
             raise ConfigError(f"{where}: axis is 0 0 0; accepted: a direction")
     for link in root.findall("link"):
-        mass = link.find("inertial/mass")
-        weight = 0.0 if mass is None else float(mass.get("value", "0"))
+        weight = _numbers(link.find("inertial/mass"), "value")[0]
         if not 0.0 <= weight <= _MAX_MASS:
             raise ConfigError(
                 f"{plain(file)}: the mass of link {quoted(link.get('name'))} is {weight:g} kg; accepted: 0 to "

@@ -30,7 +30,13 @@ import numpy as np
 from scipy.linalg import lstsq
 
 from rx90_common.base.arrays import Array, Index
-from rx90_common.estimation.elements import FrictionRows, fit_laws, fitted_values, places
+from rx90_common.estimation.elements import (
+    FrictionRows,
+    Known,
+    fit_laws,
+    fitted_values,
+    places,
+)
 from rx90_common.estimation.fit import Fit
 from rx90_common.estimation.law import LEAST_STRIBECK, MOST_STRIBECK, Law, Part
 
@@ -74,11 +80,8 @@ class Gain:
     @property
     def kept(self) -> bool:
         """Return whether the element keeps what is richer."""
-        return bool(not self.bound and (self._is_clear or (self.together and self.share > 0.0)))
-
-    @property
-    def _is_clear(self) -> bool:
-        return self.share > self.errors * self.deviation
+        is_clear = self.share > self.errors * self.deviation
+        return bool(not self.bound and (is_clear or (self.together and self.share > 0.0)))
 
     @property
     def reason(self) -> str:
@@ -225,10 +228,7 @@ def _with_bristles(rows: FrictionRows, choice: Choice, tried: Sequence[int]) -> 
     for number in tried:
         if not _gain(rows, number, before, after).kept:
             laws[number] = choice.laws[number]
-    if tuple(laws) == choice.laws:
-        return choice
-    result = fit_laws(rows, laws, known=_known(after.laws, laws, after.fit))
-    return without_bound_parts(rows, Choice(tuple(laws), result))
+    return choice if tuple(laws) == choice.laws else _simpler(rows, laws, after.values)
 
 
 def without_bound_parts(rows: FrictionRows, choice: Choice) -> Choice:
@@ -241,14 +241,13 @@ def without_bound_parts(rows: FrictionRows, choice: Choice) -> Choice:
         laws.append(replace(law, parts=_less(law.parts, bad[-1])) if bad else law)
     if tuple(laws) == choice.laws:
         return choice
-    result = fit_laws(rows, laws, known=_known(choice.laws, laws, choice.fit))
-    return without_bound_parts(rows, Choice(tuple(laws), result))
+    return _simpler(rows, laws, fitted_values(choice.laws, choice.fit.x))
 
 
-def _known(before: Sequence[Law], laws: Sequence[Law], result: Fit) -> list[dict[str, float]]:
-    """Return the fitted parameters that simpler laws have, too, element by element."""
-    values = fitted_values(before, result.x)
-    return [{name: own[name] for name in law.names} for law, own in zip(laws, values, strict=True)]
+def _simpler(rows: FrictionRows, laws: Sequence[Law], fitted: Known) -> Choice:
+    """Return the choice of simpler laws, fitted from parameters of the richer ones, without parts at a bound."""
+    known = [{name: own[name] for name in law.names} for law, own in zip(laws, fitted, strict=True)]
+    return without_bound_parts(rows, Choice(tuple(laws), fit_laws(rows, laws, known=known)))
 
 
 def _at_bound(law: Law, part: Part, result: Fit, place: slice) -> str:
@@ -279,23 +278,12 @@ def _less(parts: Parts, part: Part) -> Parts:
     return parts - ({part, Part.STRIBECK_EXPONENT} if part is Part.STRIBECK else {part})
 
 
-def folds(result: Fit) -> Array:
-    """Return the number of each row's fold, shape (r,): whole blocks, at most MOST_FOLDS."""
-    number = np.unique(result.problem.block, return_inverse=True)[1]
-    count = min(int(number.max(initial=0)) + 1, MOST_FOLDS)
-    return np.asarray(number % count)
-
-
 def held_out_squares(result: Fit) -> Array:
     """Return the weighted square of each row's error when the rows of its fold are left out, shape (r,)."""
-    columns = result.columns
-    prior = result.prior_information
-    size = np.sqrt(np.sum(columns**2, axis=0) + np.diag(prior))
-    size[size == 0.0] = 1.0
-    columns /= size
-    information = columns.T @ columns + prior / np.outer(size, size)
+    columns, prior, _ = result.scaled()
+    information = columns.T @ columns + prior
     error = np.sqrt(result.weight) * result.residual
-    fold = folds(result)
+    fold = np.unique(result.problem.block, return_inverse=True)[1] % MOST_FOLDS
     squares = np.zeros(len(error))
     for number in np.unique(fold):
         rows = fold == number

@@ -67,18 +67,13 @@ class Deviations:
 def deviations(result: Fit) -> Deviations:
     """Return the deviations of a fit's parameters, blocks of rows as in its problem."""
     problem = result.problem
-    columns = result.columns
+    columns, prior, scale = result.scaled()
     score = np.sqrt(result.weight) * result.residual
-    prior = result.prior_information
-    size = np.sqrt(np.sum(columns**2, axis=0) + np.diag(prior))
-    scale = np.where(size > 0.0, size, 1.0)
-    columns /= scale
-    prior /= np.outer(scale, scale)
     inner = np.where(result.outlying[:, None], 0.0, columns)
     information = inner.T @ inner + prior
     values, vectors = np.linalg.eigh(information)
     known = values > RANK * max(values[-1], 1.0)
-    determined = (size > 0.0) & (np.sum(vectors[:, ~known] ** 2, axis=1) < MOST_UNDETERMINED)
+    determined = np.sum(vectors[:, ~known] ** 2, axis=1) < MOST_UNDETERMINED
     inverse_root = vectors[:, known] / np.sqrt(values[known])  # H = inverse_root @ inverse_root.T
     middle = inverse_root.T @ prior @ inverse_root
     blocks = np.zeros(len(scale))

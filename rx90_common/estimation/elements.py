@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Protocol
 
 import numpy as np
 
-from rx90_common.base.arrays import Array, Index, Mask
+from rx90_common.base.arrays import Array, Index
 from rx90_common.estimation.fit import Fit, Problem, Projected, fit, of_groups
 from rx90_common.estimation.law import Law, Speeds
 
@@ -68,22 +69,19 @@ class FrictionRows:
     elements: Sequence[ElementRows]
     group: Index
     block: Index
-    prior: Array | None = None
-    _kept: dict[int, tuple[Law, bytes, tuple[Array, Array]]] = field(
-        default_factory=dict, repr=False
-    )
+    prior: Array
 
     def problem(self, laws: Sequence[Law], start: Array | None = None) -> Problem:
         """Return the problem of one law for each element; its parameters stand one element after the other."""
         pairs = list(zip(laws, self.elements, strict=True))
-        bounds = [law.bounds(element.speeds) for law, element in pairs]
+        lower, upper = np.hstack([law.bounds(element.speeds) for law, element in pairs])
         first = [law.starts(element.speeds)[0] for law, element in pairs]
 
         def model(x: Array) -> tuple[Array, Array]:
             total = np.zeros(len(self.target))
             slopes = np.zeros((len(self.target), len(x)))
             for number, place in enumerate(places(laws)):
-                torque, own = self._torque(number, laws[number], x[place])
+                torque, own = self._torque(number, laws[number], x[place].tobytes())
                 total[self.elements[number].rows] += torque
                 slopes[self.elements[number].rows, place] = own
             return total, slopes
@@ -93,31 +91,28 @@ class FrictionRows:
             linear=self.linear,
             model=model,
             start=np.concatenate(first) if start is None else start,
-            lower=np.concatenate([lower for lower, _ in bounds]),
-            upper=np.concatenate([upper for _, upper in bounds]),
+            lower=lower,
+            upper=upper,
             group=self.group,
             block=self.block,
             prior=self.prior,
+            spread=np.full(len(lower), np.inf),
         )
 
-    def _torque(self, number: int, law: Law, x: Array) -> tuple[Array, Array]:
-        """Return an element's torque and slopes; those of its last parameters are kept, as most do not change."""
-        kept = self._kept.get(number)
-        if kept is None or kept[0] != law or kept[1] != x.tobytes():
-            kept = (law, x.tobytes(), self.elements[number].torque(law, x))
-            self._kept[number] = kept
-        return kept[2]
+    @cached_property
+    def _torque(self) -> Callable[[int, Law, bytes], tuple[Array, Array]]:
+        """Return the function for an element's torque and slopes; the last ones are kept, as most do not change."""
+
+        def torque(number: int, law: Law, x: bytes) -> tuple[Array, Array]:
+            return self.elements[number].torque(law, np.frombuffer(x))
+
+        return lru_cache(len(self.elements))(torque)
 
 
 def places(laws: Sequence[Law]) -> list[slice]:
     """Return where the parameters of each element's law stand among all."""
     ends = np.cumsum([len(law.names) for law in laws]).tolist()
     return [slice(end - len(law.names), end) for law, end in zip(laws, ends, strict=True)]
-
-
-def sizes_of(laws: Sequence[Law]) -> Mask:
-    """Return which of all parameters are sizes, shape (q,)."""
-    return np.array([name in law.sizes for law in laws for name in law.names], dtype=np.bool_)
 
 
 Known = Sequence[Mapping[str, float]]
@@ -162,11 +157,12 @@ def find_start(
         for law, element, own in zip(laws, rows.elements, known, strict=True)
     ]
     x = np.concatenate([shapes[0] for shapes in starts])
+    are_sizes = np.array([name in law.sizes for law in laws for name in law.names], dtype=np.bool_)
     for place, shapes in zip(places(laws), starts, strict=True):
         candidates = []
         for shape in shapes:
             candidate = x.copy()
             candidate[place] = shape
             candidates.append(candidate)
-        x = projected.best_start(candidates, sizes_of(laws))
+        x = projected.best_start(candidates, are_sizes)
     return x

@@ -72,22 +72,13 @@ class Problem:
     upper: Array
     group: Index
     block: Index
-    prior: Array | None = None
-    spread: Array | None = None
-
-    @property
-    def prior_rows(self) -> Array:
-        """Return the rows of the linear parameters' prior, (s, p); none if there is none."""
-        return np.empty((0, self.linear.shape[1])) if self.prior is None else self.prior
+    prior: Array
+    spread: Array
 
     @cached_property
     def known(self) -> Index:
         """Return the numbers of the parameters x that have a prior."""
-        return (
-            np.flatnonzero(np.isfinite(self.spread))
-            if self.spread is not None
-            else np.empty(0, dtype=np.intp)
-        )
+        return np.flatnonzero(np.isfinite(self.spread))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,17 +115,23 @@ class Fit:
         columns = np.hstack([np.where(self.at_bound, 0.0, self.slopes), self.problem.linear])
         return np.asarray(np.sqrt(self.weight)[:, None] * columns)
 
-    @property
-    def prior_information(self) -> Array:
-        """Return the inverse covariance of what is known of x and the linear parameters, shape (q + p, q + p)."""
+    def scaled(self) -> tuple[Array, Array, Array]:
+        """Return `columns` and what else is known of their parameters, in parts of their sizes.
+
+        Returns:
+            The columns, the inverse covariance of that knowledge, shape (q + p, q + p), and the sizes, shape (q + p,);
+            1 where nothing is known.
+        """
+        columns = self.columns
         count = len(self.x)
-        information = np.zeros((count + self.problem.linear.shape[1],) * 2)
-        matrix = self.problem.prior_rows
-        information[count:, count:] = matrix.T @ matrix
+        prior = np.zeros((columns.shape[1],) * 2)
+        matrix = self.problem.prior
+        prior[count:, count:] = matrix.T @ matrix
         known = self.problem.known
-        if self.problem.spread is not None:
-            information[known, known] = 1.0 / self.problem.spread[known] ** 2
-        return information
+        prior[known, known] = 1.0 / self.problem.spread[known] ** 2
+        size = np.sqrt(np.sum(columns**2, axis=0) + np.diag(prior))
+        size[size == 0.0] = 1.0
+        return columns / size, prior / np.outer(size, size), size
 
 
 def fit(problem: Problem, weight: Array | None = None) -> Fit:
@@ -189,7 +186,7 @@ class Projected:
     def __init__(self, problem: Problem, weight: Array) -> None:
         self._problem = problem
         self._root = np.sqrt(weight)
-        self._columns = np.vstack([problem.linear * self._root[:, None], problem.prior_rows])
+        self._columns = np.vstack([problem.linear * self._root[:, None], problem.prior])
         self._basis = independent_basis(self._columns)
         # residuals and derivatives are asked for at the same values
         self._kept = lru_cache(1)(self._at)
@@ -247,7 +244,6 @@ class Projected:
         both -= self._basis @ (self._basis.T @ both)
         known = problem.known
         if len(known):
-            assert problem.spread is not None
             from_prior = np.eye(len(x))[known]
             rows = (
                 np.column_stack([x[known] - problem.start[known], from_prior])
@@ -263,7 +259,7 @@ class Projected:
     def _weighted(self, x: Array) -> tuple[Array, Array]:
         torque, slopes = self._problem.model(x)
         both = np.column_stack([self._problem.target - torque, slopes]) * self._root[:, None]
-        prior = np.zeros((len(self._problem.prior_rows), both.shape[1]))
+        prior = np.zeros((len(self._problem.prior), both.shape[1]))
         value, slopes = np.split(np.vstack([both, prior]), [1], axis=1)
         return value[:, 0], slopes
 

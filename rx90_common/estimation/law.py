@@ -29,6 +29,7 @@ from rx90_common.friction.bristle import decay
 from rx90_common.friction.element import (
     ALPHA_BOUNDS,
     FrictionElement,
+    stribeck_decay,
     stribeck_decay_slopes,
     viscous_torque,
 )
@@ -108,8 +109,8 @@ class Law:
         }
         return tuple(name for name, part in shape.items() if part in self.parts)
 
-    def bounds(self, speeds: Speeds) -> tuple[Array, Array]:
-        """Return lower and upper bounds of the fitted parameters, shape (k,) each."""
+    def bounds(self, speeds: Speeds) -> Array:
+        """Return lower and upper bounds of the fitted parameters, shape (2, k)."""
         low = max(speeds.low, 1e-6)
         shortest = min(speeds.presliding, 0.1 * LONGEST_PRESLIDING)
         ranges = {
@@ -118,9 +119,9 @@ class Law:
             "alpha": ALPHA_BOUNDS,
             "stiffness": (1.0 / LONGEST_PRESLIDING, 1.0 / shortest),
         }
-        lower = [0.0] * len(self.sizes) + [math.log(ranges[name][0]) for name in self.shapes]
-        upper = [math.inf] * len(self.sizes) + [math.log(ranges[name][1]) for name in self.shapes]
-        return np.array(lower), np.array(upper)
+        sizes = [[0.0, math.inf]] * len(self.sizes)
+        shapes = [[math.log(bound) for bound in ranges[name]] for name in self.shapes]
+        return np.array(sizes + shapes).T
 
     def starts(self, speeds: Speeds, known: Mapping[str, float] | None = None) -> list[Array]:
         """Return where a search may begin, shape (k,) each.
@@ -235,9 +236,7 @@ class Law:
         values = self.values(x)
         coulomb = np.where(velocity >= 0.0, values["tau_c_positive"], values["tau_c_negative"])
         rise = np.where(velocity >= 0.0, values["rise_positive"], values["rise_negative"])
-        fading = np.ones(len(velocity))
-        if Part.STRIBECK in self.parts:
-            fading = np.exp(-((np.abs(velocity) / values["omega_s"]) ** values["delta"]))
+        fading = stribeck_decay(velocity, values["omega_s"], values["delta"])
         sliding = np.maximum(coulomb + rise * fading, _LEAST_COULOMB)
         mean = max(0.5 * (values["tau_c_positive"] + values["tau_c_negative"]), _LEAST_COULOMB)
         result = np.empty((len(velocity), 2))

@@ -107,63 +107,43 @@ class CdrReader:
     """
 
     def __init__(self, raw: bytes) -> None:
-        if len(raw) < ENCAPSULATION:
-            raise ExchangeError(
-                f"message is cut off: {counted(len(raw), 'byte')}, no CDR encapsulation"
-            )
         order = _BYTE_ORDERS.get(bytes(raw[:2]))
         if order is None:
-            found = bytes(raw[:2]).hex()
+            encapsulation = bytes(raw[:2]).hex()
             raise ExchangeError(
-                f"message has the encapsulation 0x{found}; accepted: plain CDR, 0x0000 or 0x0001"
+                f"message has the encapsulation 0x{encapsulation}; accepted: plain CDR, 0x0000 or 0x0001"
             )
         self._order = order
-        self._raw = raw
         self._body = raw[ENCAPSULATION:]
         self._at = 0
 
-    def _take(self, size: int, alignment: int, what: str) -> bytes:
+    def take(self, field: str, size: int, alignment: int = 1) -> bytes:
+        """Return so many bytes, aligned."""
         start = self._at + -self._at % alignment
-        if start + size > len(self._body):
-            raise ExchangeError(
-                f"message is cut off in {what}: {counted(len(self._body), 'byte')} of body, {start + size} needed"
-            )
         self._at = start + size
+        if self._at > len(self._body):
+            raise ExchangeError(
+                f"message is cut off in {field}: {counted(len(self._body), 'byte')} of body, {self._at} needed"
+            )
         return self._body[start : self._at]
 
-    def stamp_ns(self) -> int:
-        """Return the stamp, with which the body begins, ns."""
-        self._take(STAMP_BYTES, 4, "header.stamp")
-        seconds, nanoseconds = cdr_stamp(self._raw)
-        if nanoseconds >= NANOSECONDS:
-            raise ExchangeError(
-                f"header.stamp.nanosec is {nanoseconds}; accepted: 0 to {NANOSECONDS - 1}"
-            )
-        return seconds * NANOSECONDS + nanoseconds
+    def length(self, field: str) -> int:
+        """Return the length of a sequence."""
+        (length,) = struct.unpack(f"{self._order}I", self.take(field, 4, 4))
+        return int(length)
 
-    def count(self, what: str, least_bytes: int) -> int:
-        """Return a length; refuse one that the rest of the message cannot hold before anything is built."""
-        (count,) = struct.unpack(f"{self._order}I", self._take(4, 4, what))
-        remaining = len(self._body) - self._at
-        if count * least_bytes > remaining:
-            left = counted(remaining, "byte")
-            raise ExchangeError(
-                f"message is cut off in {what}: {counted(count, 'element')} announced, {left} left"
-            )
-        return int(count)
-
-    def string(self, what: str) -> str:
+    def string(self, field: str) -> str:
         """Return a string."""
-        content = self._take(self.count(what, least_bytes=1), 1, what)
+        content = self.take(field, self.length(field))
         try:
             return content.rstrip(b"\0").decode()
         except UnicodeDecodeError as error:
-            raise ExchangeError(f"{what} is {quoted(content)}; accepted: UTF-8") from error
+            raise ExchangeError(f"{field} is {quoted(content)}; accepted: UTF-8") from error
 
-    def doubles(self, what: str) -> Array:
+    def doubles(self, field: str) -> Array:
         """Return a sequence of float64, shape (n,)."""
-        count = self.count(what, least_bytes=8)
-        content = self._take(8 * count, 8, what) if count else b""
+        length = self.length(field)
+        content = self.take(field, 8 * length, 8 if length else 1)
         return np.frombuffer(content, dtype=f"{self._order}f8").astype(np.float64)
 
     def finish(self) -> None:
@@ -175,42 +155,40 @@ class CdrReader:
             )
 
 
-class TransformCodec:
-    """Encode tf2_msgs/TFMessage between given frames: frames and translations stay, stamp and rotations change.
+def transform_encoder(
+    links: Sequence[tuple[str, str]], translation: Array
+) -> Callable[[int, Array], bytes]:
+    """Return a function that encodes tf2_msgs/TFMessage between given frames: frames and translations stay.
+
+    Its arguments are the stamp, ns, of all transforms and their rotations, (n, 4) quaternions, scalar last.
 
     Args:
         links: names of parent and child frame.
         translation: (n, 3) m.
     """
+    body = CdrBody()
+    body.count(len(links))
+    stamps = []
+    rotations = []
+    for (parent, child), shift in zip(links, translation, strict=True):
+        body.align(4)
+        stamps.append(ENCAPSULATION + body.zeros(_STAMP.size))
+        body.string(parent)
+        body.string(child)
+        body.align(8)
+        body.raw += _TRANSLATION.pack(*shift)
+        rotations.append(ENCAPSULATION + body.zeros(_ROTATION.size))
+    message = body.message()
 
-    def __init__(self, links: Sequence[tuple[str, str]], translation: Array) -> None:
-        body = CdrBody()
-        body.count(len(links))
-        self._stamps = []
-        self._rotations = []
-        for (parent, child), shift in zip(links, translation, strict=True):
-            body.align(4)
-            self._stamps.append(ENCAPSULATION + body.zeros(_STAMP.size))
-            body.string(parent)
-            body.string(child)
-            body.align(8)
-            body.raw += _TRANSLATION.pack(*shift)
-            self._rotations.append(ENCAPSULATION + body.zeros(_ROTATION.size))
-        self._message = body.message()
-
-    def encode(self, stamp_ns: int, rotation: Array) -> bytes:
-        """Return the message.
-
-        Args:
-            stamp_ns: of all transforms.
-            rotation: (n, 4) quaternions, scalar last.
-        """
+    def encode(stamp_ns: int, rotation: Array) -> bytes:
         stamp = divmod(stamp_ns, NANOSECONDS)
-        for at in self._stamps:
-            _STAMP.pack_into(self._message, at, *stamp)
-        for at, quaternion in zip(self._rotations, rotation.tolist(), strict=True):
-            _ROTATION.pack_into(self._message, at, *quaternion)
-        return bytes(self._message)
+        for at in stamps:
+            _STAMP.pack_into(message, at, *stamp)
+        for at, quaternion in zip(rotations, rotation.tolist(), strict=True):
+            _ROTATION.pack_into(message, at, *quaternion)
+        return bytes(message)
+
+    return encode
 
 
 @c_function(types.int64(types.voidptr, types.voidptr, types.voidptr, types.voidptr, types.voidptr))
@@ -287,11 +265,11 @@ class _Layout:
         outgoing: memory of a message to write, its constant bytes filled in.
     """
 
-    def __init__(self, names: tuple[str, ...], frame_id: str, present: tuple[bool, ...]) -> None:
+    def __init__(self, names: tuple[str, ...], present: tuple[bool, ...]) -> None:
         numbers = 8 * len(names)
         body = CdrBody()
         body.zeros(STAMP_BYTES)
-        body.string(frame_id)
+        body.string("")  # frame_id
         body.strings(names)
         blocks = []
         for there in present:
@@ -330,19 +308,18 @@ class _Layout:
 class JointStateCodec:
     """Encode and decode sensor_msgs/JointState for a fixed list of joint names.
 
-    One codec belongs to one thread: `decode` returns views of a buffer that its next call writes again.
+    One codec belongs to one thread: `decode` returns views of a buffer that its next call writes again. It writes no
+    frame_id, and accepts any.
 
     Args:
         names: joint names in the order of the arrays, each once.
-        frame_id: header.frame_id that is written; any is accepted when reading.
 
     Raises:
         ExchangeError: if a name is empty, repeated or holds a NUL.
     """
 
-    def __init__(self, names: Sequence[str], frame_id: str = "") -> None:
+    def __init__(self, names: Sequence[str]) -> None:
         self.names = tuple(names)
-        self.frame_id = frame_id
         if not self.names:
             raise ExchangeError("no joint names given; accepted: one or more")
         for name in self.names:
@@ -350,10 +327,8 @@ class JointStateCodec:
                 raise ExchangeError(
                     f"joint name {quoted(name)}; accepted: a text without NUL, each name once"
                 )
-        if "\0" in frame_id:
-            raise ExchangeError(f"frame_id {quoted(frame_id)}; accepted: a text without NUL")
         self._layouts = {
-            present: _Layout(self.names, frame_id, present)
+            present: _Layout(self.names, present)
             for present in product((True, False), repeat=_BLOCKS)
         }
         self._expected = self._layouts[True, True, True]
@@ -488,23 +463,25 @@ def _address(array: Array | None) -> int:
 def _parse_joint_state(raw: bytes, names: Sequence[str]) -> tuple[int, Arrays]:
     """Return stamp, ns, and (position, velocity, effort) in the order of `names`, None for an empty array."""
     reader = CdrReader(raw)
-    accepted = ", ".join(names)
-    stamp_ns = reader.stamp_ns()
+    reader.take("header.stamp", STAMP_BYTES)
+    seconds, nanoseconds = cdr_stamp(raw)
+    if nanoseconds >= NANOSECONDS:
+        raise ExchangeError(
+            f"header.stamp.nanosec is {nanoseconds}; accepted: 0 to {NANOSECONDS - 1}"
+        )
     reader.string("header.frame_id")
-    found = [reader.string(f"name[{i}]") for i in range(reader.count("name", least_bytes=4))]
-    for name in found:
+    given = [reader.string(f"name[{i}]") for i in range(reader.length("name"))]
+    accepted = ", ".join(names)
+    for name in given:
         if name not in names:
             raise ExchangeError(f"joint name {quoted(name)} is unknown; accepted: {accepted}")
-        if found.count(name) > 1:
-            raise ExchangeError(
-                f"joint name {quoted(name)} is repeated; accepted: {accepted}, each once"
-            )
     for name in names:
-        if name not in found:
+        if given.count(name) != 1:
+            fault = "repeated" if name in given else "missing"
             raise ExchangeError(
-                f"joint name {quoted(name)} is missing; accepted: {accepted}, each once"
+                f"joint name {quoted(name)} is {fault}; accepted: {accepted}, each once"
             )
-    order = [found.index(name) for name in names]
+    order = [given.index(name) for name in names]
     arrays: list[Array | None] = []
     for field in ("position", "velocity", "effort"):
         values = reader.doubles(field)
@@ -512,10 +489,11 @@ def _parse_joint_state(raw: bytes, names: Sequence[str]) -> tuple[int, Arrays]:
             raise ExchangeError(
                 f"{field} has {counted(values.size, 'element')}; accepted: {len(names)} or none"
             )
-        arrays.append(values[order] if values.size else None)
-        for name, value in zip(names, values[order] if values.size else (), strict=False):
+        ordered = values[order] if values.size else values
+        arrays.append(ordered if values.size else None)
+        for name, value in zip(names, ordered, strict=False):
             if not math.isfinite(value):
                 raise ExchangeError(f"{field} of {name} is {value}; accepted: a finite number")
     reader.finish()
     position, velocity, effort = arrays
-    return stamp_ns, (position, velocity, effort)
+    return seconds * NANOSECONDS + nanoseconds, (position, velocity, effort)

@@ -65,14 +65,13 @@ class ClientNode:
             ExchangeError: after the timeout.
         """
         allowed = self.timeout
-        extended = False
         begin = time.monotonic()
         if not ready():
             self.say(f"waiting for {what}")
         while not ready():
-            if not extended and time.monotonic() >= begin + allowed:
-                allowed = allowed + more()
-                extended = True
+            if time.monotonic() >= begin + allowed:
+                allowed += more()
+                more = float
             if time.monotonic() >= begin + allowed:
                 raise ExchangeError(f"found no {what.removeprefix('a ')} within {allowed:g} s")
             self.spin()

@@ -60,37 +60,33 @@ _ENTITIES = {  # what a configured node may have made, and the function that des
 }
 
 
-class Diagnostics:
-    """One status on /diagnostics, once a second.
+def publish_diagnostics(
+    node: Node, collect: Callable[[], tuple[bytes, str, dict[str, str]]]
+) -> None:
+    """Publish one status of a node on /diagnostics, once a second.
 
     Args:
         node: the publisher's node.
         collect: returns the level (OK, WARN or ERROR of DiagnosticStatus), the message and the values.
     """
+    publisher = node.create_publisher(DiagnosticArray, "/diagnostics", CLOCK_QOS)
+    # Without the leading slash, as diagnostic_aggregator writes names.
+    prefix = f"{node.get_namespace()}/".lstrip("/")
 
-    def __init__(
-        self, node: Node, collect: Callable[[], tuple[bytes, str, dict[str, str]]]
-    ) -> None:
-        self._node = node
-        self._collect = collect
-        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", CLOCK_QOS)
-        # Without the leading slash, as diagnostic_aggregator writes names.
-        namespace = node.get_namespace().strip("/")
-        self._prefix = f"{namespace}/" if namespace else ""
-        self._timer = node.create_timer(1.0, self._publish)
-
-    def _publish(self) -> None:
-        level, message, values = self._collect()
+    def publish() -> None:
+        level, message, values = collect()
         status = DiagnosticStatus(
             level=level,
-            name=self._prefix + self._node.get_name(),
+            name=prefix + node.get_name(),
             message=message,
-            hardware_id=f"{self._prefix}rx90_emulator",
+            hardware_id=f"{prefix}rx90_emulator",
             values=[KeyValue(key=key, value=value) for key, value in values.items()],
         )
         array = DiagnosticArray(status=[status])
-        array.header.stamp = self._node.get_clock().now().to_msg()
-        self._publisher.publish(array)
+        array.header.stamp = node.get_clock().now().to_msg()
+        publisher.publish(array)
+
+    node.create_timer(1.0, publish)
 
 
 class TickingNode(Protocol):

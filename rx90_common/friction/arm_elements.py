@@ -20,12 +20,10 @@ def _element_inputs_of_wrist(_gear: Array, joint: Array) -> Lanes:
     return append(load(joint, 6), joint[4] + joint[5])
 
 
-def _element_inputs_of_matrices(gear: Any, joint: Array) -> Lanes:
+@by_gear(_element_inputs_of_wrist)
+def element_inputs(gear: Any, joint: Array) -> Lanes:
+    """Return the angles or velocities of the elements, which are also the brakes', for those of the joints."""
     return times(gear.element_columns, joint)
-
-
-element_inputs = by_gear(_element_inputs_of_wrist, _element_inputs_of_matrices)
-"""Return the angles or velocities of the elements, which are also the brakes', for those of the joints."""
 
 
 def _add_to_joints_of_wrist(_gear: Array, joint: Array, torque: Lanes) -> None:
@@ -35,12 +33,10 @@ def _add_to_joints_of_wrist(_gear: Array, joint: Array, torque: Lanes) -> None:
     joint[5] += wrist
 
 
-def _add_to_joints_of_matrices(gear: Any, joint: Array, torque: Lanes) -> None:
+@by_gear(_add_to_joints_of_wrist)
+def add_to_joints(gear: Any, joint: Array, torque: Lanes) -> None:
+    """Add the torques of the elements to those of the joints, Nm, shape (n,)."""
     store(joint, load(joint, size(gear.ratio)) + times_lanes(gear.element, torque))
-
-
-add_to_joints = by_gear(_add_to_joints_of_wrist, _add_to_joints_of_matrices)
-"""Add the torques of the elements to those of the joints, Nm, shape (n,)."""
 
 
 @inlined
@@ -68,44 +64,38 @@ def _share_among_elements_of_wrist(_gear: Array, transmitted: Array) -> None:
     transmitted[6] = transmitted[5]
 
 
-def _share_among_elements_of_matrices(gear: Any, transmitted: Array) -> None:
+@by_gear(_share_among_elements_of_wrist)
+def share_among_elements(gear: Any, transmitted: Array) -> None:
+    """Convert the torques of the n joints, Nm, to those of the elements, shape (e,).
+
+    A motor's element transmits the motor's torque, the element of a joint without a motor of its own the joint's
+    torque: on a wrist whose motor 6 turns with joints 5 and 6, the torque of link 6 passes through both.
+    """
     store(transmitted, times(gear.passed, transmitted))
-
-
-share_among_elements = by_gear(_share_among_elements_of_wrist, _share_among_elements_of_matrices)
-"""Convert the torques of the n joints, Nm, to those of the elements, shape (e,).
-
-A motor's element transmits the motor's torque, the element of a joint without a motor of its own the joint's
-torque: on a wrist whose motor 6 turns with joints 5 and 6, the torque of link 6 passes through both.
-"""
 
 
 def _element_of_motor_of_wrist(_gear: Array, motor: int) -> int:
     return motor if motor < 5 else 6
 
 
-def _element_of_motor_of_matrices(gear: Any, motor: int) -> int:
+@by_gear(_element_of_motor_of_wrist)
+def element_of_motor(gear: Any, motor: int) -> int:
+    """Return the number of the element, and of the brake, that turns with a motor."""
     element: int = gear.element_of_motor[motor]
     return element
-
-
-element_of_motor = by_gear(_element_of_motor_of_wrist, _element_of_motor_of_matrices)
-"""Return the number of the element, and of the brake, that turns with a motor."""
 
 
 def _of_motors_of_wrist(_gear: Array, motor: Lanes) -> Lanes:
     return append(motor, lane(motor, 5))
 
 
-def _of_motors_of_matrices(gear: Any, motor: Lanes) -> Lanes:
+@by_gear(_of_motors_of_wrist)
+def of_motors(gear: Any, motor: Lanes) -> Lanes:
+    """Return the value of each element's motor, from values of the motors; both lanes.
+
+    The element of a joint without a motor of its own gets a value that must not be used.
+    """
     return times_lanes(gear.belongs, motor)
-
-
-of_motors = by_gear(_of_motors_of_wrist, _of_motors_of_matrices)
-"""Return the value of each element's motor, from values of the motors; both lanes.
-
-The element of a joint without a motor of its own gets a value that must not be used.
-"""
 
 
 def fill_arm_parts(

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rx90_common.base.arrays import Array, record_type
+from rx90_common.base.arrays import Array, Record, RecordType, record_type
 from rx90_common.friction.bristle import bristle_step, friction_torque
 from rx90_common.friction.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 from rx90_common.friction.element import FrictionElement
@@ -19,7 +19,7 @@ from rx90_common.friction.maxwell_slip import (
 from rx90_common.friction.parts.bristles import bristles_dtype, bristles_state_dtype, fill_bristles
 from rx90_common.friction.signs import SIGNS
 from rx90_common.kernels.compiled import inlined, kernel
-from rx90_common.kernels.lanes import Lanes, lane, load, select, size, store
+from rx90_common.kernels.lanes import Lanes, lane, load, select, store
 
 
 class Elements(NamedTuple):
@@ -36,7 +36,7 @@ class Elements(NamedTuple):
     alpha: Any
 
 
-def elements_dtype(width: int) -> np.dtype[np.void]:
+def elements_dtype(width: int) -> RecordType:
     """Return the type of `width` elements as compiled code reads them: a struct of arrays, the element the last index.
 
     The fields are those of `Elements`. The torques have a row for each of SIGNS; v = 0 counts as positive.
@@ -46,13 +46,13 @@ def elements_dtype(width: int) -> np.dtype[np.void]:
     return record_type(**shapes)
 
 
-def element_arrays(elements: Sequence[FrictionElement]) -> np.ndarray[Any, Any]:
+def element_arrays(elements: Sequence[FrictionElement]) -> Record:
     """Return elements as compiled code reads them, shape (1,), dtype `elements_dtype(len(elements))`."""
     arrays = np.zeros(1, elements_dtype(len(elements)))
     record = arrays[0]
     for e, element in enumerate(elements):
-        record["tau_c"][:, e] = element.tau_c.positive, element.tau_c.negative
-        record["tau_s"][:, e] = element.tau_s.positive, element.tau_s.negative
+        record["tau_c"][:, e] = element.tau_c.both
+        record["tau_s"][:, e] = element.tau_s.both
         record["inverse_omega_s"][e] = 1.0 / element.omega_s
         record["inverse_omega_d"][e] = 1.0 / element.omega_d
         values = element.parameters
@@ -91,12 +91,6 @@ def lane_of(element: Elements, index: int) -> Elements:
         lane(element.inverse_omega_d, index),
         lane(element.alpha, index),
     )
-
-
-@kernel
-def one_element(arrays: Any, index: int) -> Elements:
-    """Return one element of such a record, in plain numbers."""
-    return lane_of(load_elements(arrays, size(arrays.c0)), index)
 
 
 @inlined
@@ -189,7 +183,8 @@ def prescribed_torque(elements: Sequence[FrictionElement], velocity: Array, step
     torque = np.empty_like(velocity)
     for e, element in enumerate(elements):
         constants = np.zeros(1, bristles_dtype(1))
-        fill_bristles(constants[0], [element.bristles])
+        if element.bristles is not None:
+            fill_bristles(constants[0], 0, element.bristles)
         _follow_bristles(
             element_arrays((element,)),
             constants,

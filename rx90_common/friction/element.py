@@ -12,11 +12,19 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, GetJsonSchemaHandler, ValidationError, model_validator
-from pydantic_core import CoreSchema
+from pydantic import ConfigDict, Field, ValidationError, model_validator
 
 from rx90_common.base.arrays import Array, Mask
-from rx90_common.base.models import FileModel, JsonSchema, quantity, refusal, refusals, word_of
+from rx90_common.base.models import (
+    FileModel,
+    JsonSchema,
+    NotNegative,
+    Positive,
+    quantity,
+    refusal,
+    refusals,
+    word_of,
+)
 from rx90_common.friction.parts.bristles import BRISTLES, LUGRE_PASSIVITY, Bristles
 from rx90_common.friction.parts.curve import CURVE, CurvePart
 from rx90_common.friction.parts.load import LOAD, LoadPart
@@ -36,12 +44,18 @@ a light wrist in a tick: the part would be a Coulomb torque without bristles.
 _SIGNED = "; one value, or {positive: x, negative: y}"
 
 
-class CoulombTorque(BySign[Annotated[float, Field(gt=0.0)]]):
+class CoulombTorque(BySign[Positive]):
     """Coulomb torque for each sign of the velocity."""
 
 
-class StaticTorque(BySign[Annotated[float, Field(ge=0.0)]]):
+class StaticTorque(BySign[NotNegative]):
     """Static torque for each sign of the velocity."""
+
+
+def _require_curve_or_law(schema: JsonSchema) -> None:
+    law = ["tau_c", "tau_s", "omega_s", "delta"]
+    schema["required"] = [name for name in schema["required"] if name not in law]
+    schema["anyOf"] = [{"required": ["curve"]}, {"required": law}]
 
 
 class FrictionElement(FileModel):
@@ -63,6 +77,8 @@ class FrictionElement(FileModel):
     those without load, at the reference temperature, in the mean over angle and scatter.
     """
 
+    model_config = ConfigDict(json_schema_extra=_require_curve_or_law)
+
     tau_c: Annotated[
         CoulombTorque,
         quantity("Nm", "Coulomb friction torque.", accepted=f"a number > 0{_SIGNED}"),
@@ -74,10 +90,10 @@ class FrictionElement(FileModel):
         ),
     ]
     omega_s: Annotated[float, quantity("rad/s", "Stribeck velocity.", ge=MIN_SPEED)]
-    delta: Annotated[float, quantity("1", "Stribeck exponent.", gt=0.0)]
-    c0: Annotated[float, quantity("Nm/rad", "Bristle stiffness.", gt=0.0)]
-    c1: Annotated[float, quantity("Nm s/rad", "Micro-viscous damping at rest.", ge=0.0)]
-    c2: Annotated[float, quantity("Nm (s/rad)^alpha", "Viscous friction.", ge=0.0)]
+    delta: Annotated[Positive, quantity("1", "Stribeck exponent.")]
+    c0: Annotated[Positive, quantity("Nm/rad", "Bristle stiffness.")]
+    c1: Annotated[NotNegative, quantity("Nm s/rad", "Micro-viscous damping at rest.")]
+    c2: Annotated[NotNegative, quantity("Nm (s/rad)^alpha", "Viscous friction.")]
     omega_d: Annotated[
         float,
         quantity("rad/s", "Velocity in the fading c1 exp(-(v/omega_d)^2).", ge=MIN_SPEED),
@@ -109,17 +125,6 @@ class FrictionElement(FileModel):
         return {**missing, **content}
 
     @classmethod
-    def __get_pydantic_json_schema__(
-        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> JsonSchema:
-        """Return the schema, with what is needed only where there is no curve."""
-        schema = handler.resolve_ref_schema(handler(core_schema))
-        replaced = ["tau_c", "tau_s", "omega_s", "delta"]
-        schema["required"] = [name for name in schema["required"] if name not in replaced]
-        schema["anyOf"] = [{"required": ["curve"]}, {"required": replaced}]
-        return schema
-
-    @classmethod
     def of(cls, parameters: Mapping[str, Any]) -> FrictionElement:
         """Return the element with parameters by the names of FRICTION_UNITS, or with `tau_c` for both signs.
 
@@ -132,12 +137,9 @@ class FrictionElement(FileModel):
 
     @model_validator(mode="after")
     def _check_static(self) -> FrictionElement:
-        static = self.tau_s
-        coulomb = self.tau_c
-        if static.positive < coulomb.positive:
-            raise refusal("tau_s", static.positive, f"a number >= tau_c = {coulomb.positive} Nm")
-        if static.negative < coulomb.negative:
-            raise refusal("tau_s", static.negative, f"a number >= tau_c = {coulomb.negative} Nm")
+        for coulomb, static in zip(self.tau_c.both, self.tau_s.both, strict=True):
+            if static < coulomb:
+                raise refusal("tau_s", static, f"a number >= tau_c = {coulomb} Nm")
         return self
 
     @property
@@ -174,8 +176,8 @@ class FrictionElement(FileModel):
         """Return c0 g(v), equation 19, without a sign: the Stribeck curve less the viscous part, Nm."""
         v = np.asarray(velocity, dtype=np.float64)
         forward = v >= 0
-        coulomb = np.where(forward, self.tau_c.positive, self.tau_c.negative)
-        static = np.where(forward, self.tau_s.positive, self.tau_s.negative)
+        coulomb = np.where(forward, *self.tau_c.both)
+        static = np.where(forward, *self.tau_s.both)
         torque = np.asarray(
             coulomb + (static - coulomb) * stribeck_decay(v, self.omega_s, self.delta)
         )
@@ -185,8 +187,7 @@ class FrictionElement(FileModel):
 
     def damping(self, velocity: ArrayLike) -> Array:
         """Return c1(v), Nm s/rad."""
-        with np.errstate(over="ignore"):
-            return self.c1 * np.exp(-((np.asarray(velocity) / self.omega_d) ** 2))
+        return self.c1 * stribeck_decay(np.asarray(velocity), self.omega_d, 2.0)
 
     def viscous_torque(self, velocity: ArrayLike) -> Array:
         """Return c2 |v|^alpha sign(v), below LINEAR_SPEED the chord of it, Nm."""
@@ -232,7 +233,7 @@ class FrictionElement(FileModel):
     def passive_damping(self, max_velocity: float) -> float:
         """Return the c1, Nm s/rad, below which the element is passive up to `max_velocity`, rad/s."""
         speed = _speeds_up_to(max_velocity)
-        fading = np.exp(-((speed / self.omega_d) ** 2))
+        fading = stribeck_decay(speed, self.omega_d, 2.0)
         with np.errstate(divide="ignore"):
             return float(np.min(self._least_dissipation(speed) / (speed * fading)))
 

@@ -11,7 +11,15 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import FileModel, Named, model_text, quantity, read_model, refusals
+from rx90_common.base.models import (
+    FileModel,
+    Named,
+    NotNegative,
+    model_text,
+    quantity,
+    read_model,
+    refusals,
+)
 from rx90_common.base.quoting import counted, nearest, question, quoted
 from rx90_common.friction.element import FrictionElement, legend
 
@@ -20,7 +28,7 @@ class JointTorques(FileModel):
     """What the torque of a joint holds beside links and friction."""
 
     offset: Annotated[float, quantity("Nm", "Constant torque, such as a sensor's zero.")] = 0.0
-    rotor_inertia: Annotated[float, quantity("kg m^2", "Rotor through its gear.", ge=0.0)] = 0.0
+    rotor_inertia: Annotated[NotNegative, quantity("kg m^2", "Rotor through its gear.")] = 0.0
     spring: Annotated[float, quantity("Nm", "k of a torque -k sin(q).")] = 0.0
 
 
@@ -143,21 +151,16 @@ class FrictionSet:
     def passivity_warnings(self, reach: Sequence[float]) -> list[str]:
         """Return a line for each element that is not passive up to the speed, rad/s, that it reaches, shape (e,)."""
         where = "" if self.file is None else f"{self.file}: "
-        warnings = [
-            _passivity_warning(*each) for each in zip(self.names, self.elements, reach, strict=True)
-        ]
-        return [f"{where}{warning}" for warning in warnings if warning]
-
-
-def _passivity_warning(name: str, element: FrictionElement, speed: float) -> str:
-    """Return a line for an element that is not passive up to a speed, rad/s; "" for one that is."""
-    limit = element.passivity_limit(speed)
-    if math.isinf(limit):
-        return ""
-    return (
-        f"elements.{name}.c1 is {element.c1:g} Nm s/rad, not passive from {limit:.3g} rad/s on; accepted: below "
-        f"{element.passive_damping(speed):.3g} up to {speed:.3g} rad/s, or a c1 that fades with omega_d"
-    )
+        warnings = []
+        for name, element, speed in zip(self.names, self.elements, reach, strict=True):
+            limit = element.passivity_limit(speed)
+            if math.isfinite(limit):
+                most = element.passive_damping(speed)
+                warnings.append(
+                    f"{where}elements.{name}.c1 is {element.c1:g} Nm s/rad, not passive from {limit:.3g} rad/s on; "
+                    f"accepted: below {most:.3g} up to {speed:.3g} rad/s, or a c1 that fades with omega_d"
+                )
+        return warnings
 
 
 def refuse_parts(

@@ -35,10 +35,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from rx90_common.base.arrays import record_type
+from rx90_common.base.arrays import Array, RecordType, record_type
 from rx90_common.friction.bristle import damping, decay, sliding_torque, viscous_torque
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, lane, load, prefix_sum, select, store
@@ -61,7 +58,7 @@ class MaxwellBlocks(NamedTuple):
     attraction: float
 
 
-def blocks_dtype(width: int) -> np.dtype[np.void]:
+def blocks_dtype(width: int) -> RecordType:
     """Return the type of the blocks of `width` elements, the element the first index."""
     blocks = (width, MAX_BLOCKS)
     return record_type(stiffness=blocks, reach=blocks, attraction=width)
@@ -78,7 +75,7 @@ def load_blocks(arrays: Any, index: int) -> MaxwellBlocks:
 
 
 @inlined
-def weighted_squares(arrays: Any, index: int, state: NDArray[np.float64]) -> float:
+def weighted_squares(arrays: Any, index: int, state: Array) -> float:
     """Return the sum of stiffness, in parts of c0, times squared deflection, rad^2, over the blocks of one element."""
     total = 0.0
     for k in range(MAX_BLOCKS):
@@ -93,7 +90,7 @@ def _total(parts: Lanes) -> float:
 
 @kernel
 def maxwell_slip_torque(
-    element: Any, arrays: Any, index: int, state: NDArray[np.float64], velocity: float
+    element: Any, arrays: Any, index: int, state: Array, velocity: float
 ) -> float:
     """Return the friction torque at one instant, Nm; arguments as those of `maxwell_slip_step`."""
     blocks = load_blocks(arrays, index)
@@ -115,7 +112,7 @@ def maxwell_slip_torque(
 
 @kernel
 def maxwell_slip_step(
-    element: Any, arrays: Any, index: int, state: NDArray[np.float64], velocity: float, step: float
+    element: Any, arrays: Any, index: int, state: Array, velocity: float, step: float
 ) -> tuple[float, float]:
     """Advance the blocks of one element by `step` seconds at constant velocity.
 

@@ -27,6 +27,11 @@ class BySign(FileModel, Generic[Value]):
     positive: Value
     negative: Value
 
+    @property
+    def both(self) -> tuple[Value, Value]:
+        """Return the values in the order of SIGNS."""
+        return self.positive, self.negative
+
     @model_validator(mode="before")
     @classmethod
     def _for_both(cls, value: Any) -> Any:

@@ -97,19 +97,16 @@ def _lock(descriptor: int) -> None:
             return
 
 
-def _kernels_hash() -> str:
+def cache_directory() -> Path:
+    """Return the folder for compiled kernels of exactly these sources (NUMBA_CACHE_DIR wins)."""
     # Environments with the same sources share the folder: all that decides on their code counts, but for the
     # processor, which numba's index names.
     svml = getattr(numba.config, "USING_SVML", False)
     versions = (numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:2], svml)
-    return sources_hash(files_with_kernels(), " ".join(map(str, versions)))
-
-
-def cache_directory() -> Path:
-    """Return the folder for compiled kernels of exactly these sources (NUMBA_CACHE_DIR wins)."""
+    folder = sources_hash(files_with_kernels(), " ".join(map(str, versions)))
     base = os.environ.get("NUMBA_CACHE_DIR")
     root = Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    return root / "rx90_emulator" / _kernels_hash()
+    return root / "rx90_emulator" / folder
 
 
 # numba makes its settings at import, so its type stubs do not know them. Kernels outside of this project are found

@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba.core import types
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from rx90_common.base.arrays import Array
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import (
     Lanes,
@@ -341,10 +342,7 @@ def nearly_normal(word: Any) -> float:
     return (total - _MEAN) / _DEVIATION
 
 
-_Array = NDArray[np.float64]
-
-
-def sines_cosines(angle: ArrayLike) -> tuple[_Array, _Array]:
+def sines_cosines(angle: ArrayLike) -> tuple[Array, Array]:
     """Return sine and cosine of angles, rad, of any shape."""
     angles = np.array(angle, dtype=np.float64)
     sine = np.empty(angles.size)
@@ -353,17 +351,17 @@ def sines_cosines(angle: ArrayLike) -> tuple[_Array, _Array]:
     return sine.reshape(angles.shape), cosine.reshape(angles.shape)
 
 
-def angles_of(y: ArrayLike, x: ArrayLike) -> _Array:
+def angles_of(y: ArrayLike, x: ArrayLike) -> Array:
     """Return the angles of points, rad, from -pi to pi; the shapes are broadcast."""
     return _of_pairs(_angles, y, x)
 
 
-def powers(base: ArrayLike, exponent: ArrayLike) -> _Array:
+def powers(base: ArrayLike, exponent: ArrayLike) -> Array:
     """Return base^exponent for bases >= 0 and exponents > 0; the shapes are broadcast."""
     return _of_pairs(_powers, base, exponent)
 
 
-def _of_pairs(compute: Callable[[_Array, _Array, _Array], None], *given: ArrayLike) -> _Array:
+def _of_pairs(compute: Callable[[Array, Array, Array], None], *given: ArrayLike) -> Array:
     pairs = np.stack(np.broadcast_arrays(*(np.asarray(one, dtype=np.float64) for one in given)))
     result = np.empty(pairs[0].size)
     compute(pairs[0].ravel(), pairs[1].ravel(), result)
@@ -383,18 +381,18 @@ def exponential_less_one_of(x: float) -> float:
 
 
 @kernel
-def _sines_cosines(angle: _Array, sine: _Array, cosine: _Array) -> None:
+def _sines_cosines(angle: Array, sine: Array, cosine: Array) -> None:
     for i in range(angle.size):
         sine[i], cosine[i] = sine_cosine(angle[i])
 
 
 @kernel
-def _powers(base: _Array, exponent: _Array, result: _Array) -> None:
+def _powers(base: Array, exponent: Array, result: Array) -> None:
     for i in range(base.size):
         result[i] = power(base[i], exponent[i])
 
 
 @kernel
-def _angles(y: _Array, x: _Array, angle: _Array) -> None:
+def _angles(y: Array, x: Array, angle: Array) -> None:
     for i in range(y.size):
         angle[i] = arctangent(y[i], x[i])

@@ -17,16 +17,15 @@ import operator
 from collections.abc import Callable
 from typing import Any, Generic, Protocol, TypeAlias, TypeVar, cast
 
-import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.errors import TypingError
 from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
-from numpy.typing import NDArray
+
+from rx90_common.base.arrays import Array
 
 _DOUBLE = ir.DoubleType()
 _INDEX = ir.IntType(32)
-_Array: TypeAlias = NDArray[np.float64]
 _Some = TypeVar("_Some")
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -212,7 +211,7 @@ def _check_contiguous(array: Any) -> None:
         raise TypingError(f"lanes hold {array.dtype}; accepted: float64")
 
 
-@Operation[Callable[[_Array | Lanes], int]].of
+@Operation[Callable[[Array | Lanes], int]].of
 def size(_: Any, values: Any) -> Any:
     """Return, as a literal, how many lanes there are, or how long the rows are of an array that lies in a record."""
     if isinstance(values, LanesType):
@@ -224,7 +223,7 @@ def size(_: Any, values: Any) -> Any:
     return types.IntegerLiteral(count)(values), lambda *_: ir.Constant(ir.IntType(64), count)
 
 
-@Operation[Callable[[_Array, int], Lanes]].of
+@Operation[Callable[[Array, int], Lanes]].of
 def load(_: Any, array: Any, width: Any) -> Any:
     """Return the first `width` numbers of a contiguous array; `width` is a literal."""
     if not isinstance(width, types.IntegerLiteral):
@@ -250,7 +249,7 @@ def load(_: Any, array: Any, width: Any) -> Any:
     return kind(array, width), emit
 
 
-@Operation[Callable[[_Array, Lanes], None]].of
+@Operation[Callable[[Array, Lanes], None]].of
 def store(_: Any, array: Any, value: Any) -> Any:
     """Write lanes to the beginning of a contiguous array."""
     _check_contiguous(array)

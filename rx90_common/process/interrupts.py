@@ -49,11 +49,12 @@ def terminations_as_interrupts() -> Iterator[None]:
 
     Handlers that the block itself sets stay. Outside the main thread nothing changes: Python takes no signals there.
     """
-    numbers: list[signal.Signals] = []
-    if threading.current_thread() is threading.main_thread():
-        numbers = [
-            number for number in _INTERRUPTS[1:] if signal.getsignal(number) == signal.SIG_DFL
-        ]
+    takes_signals = threading.current_thread() is threading.main_thread()
+    numbers = [
+        number
+        for number in _INTERRUPTS[1:]
+        if takes_signals and signal.getsignal(number) == signal.SIG_DFL
+    ]
     for number in numbers:
         signal.signal(number, _interrupt_where_safe)
     try:

@@ -10,15 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator
 
 from rx90_common.process.files import write_all
 
-WIDTH = 8.2
-"""Of a picture, inches."""
-_FEW_DECADES = 1e3  # on a logarithmic axis: room for 1, 2 and 5 of each
 # Any: matplotlib types the keys one by one.
 _STYLE: Any = {
     "svg.hashsalt": "rx90_emulator",
@@ -64,14 +59,3 @@ def picture(path: Path) -> Iterator[Figure]:
         yield figure
         figure.savefig(buffer, format=kind, metadata=date)
     write_all({path: buffer.getvalue()})
-
-
-def plain_decades(panel: Axes) -> None:
-    """Label logarithmic axes with plain numbers: Matplotlib's own labels are formulas, which are not read here."""
-    for axis in (panel.xaxis, panel.yaxis):
-        if axis.get_scale() == "log":
-            low, high = axis.get_view_interval()
-            if high < _FEW_DECADES * low:
-                axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter("{x:g}")
-            axis.set_minor_formatter("")

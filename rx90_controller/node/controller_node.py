@@ -37,7 +37,7 @@ from rx90_common.exchange.endpoints import (
     wait_until_matched,
     wait_until_received,
 )
-from rx90_common.exchange.lifecycle import Diagnostics, ManagedNode, started
+from rx90_common.exchange.lifecycle import ManagedNode, publish_diagnostics, started
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.parameters import nested
 from rx90_common.exchange.ros_start import missing_messages
@@ -195,7 +195,7 @@ class Control:
         )
         _allow_goal_changes(node, cs7b.joint_names, loop)
         self._reported = (0, time.monotonic())  # tick and time of the last status
-        self._diagnostics = Diagnostics(node, self._status)
+        publish_diagnostics(node, self._status)
 
     def _subscribe(self, loop: ServoLoop, *, local: bool) -> None:
         node = self._node

@@ -240,8 +240,13 @@ _LOOK = 1.0  # s between two looks at the graph
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of ROS
 
 
-class JointCommands:
-    """Reads efforts at the joints, by name in any order.
+def joint_commands(
+    joints: JointInterface, names: tuple[str, ...], topic: str, once: OnceLog
+) -> Callable[[bytes], Array | None]:
+    """Return what reads efforts at the joints, by name in any order.
+
+    It returns the motor torques, motor side, Nm, shape (n,), valid until the next call; None for brakes closed. It
+    raises ExchangeError if the message is not a command for these joints.
 
     Args:
         joints: the drives seen from the joints.
@@ -249,34 +254,22 @@ class JointCommands:
         topic: of the commands, for messages.
         once: reports, once, that there are no efforts.
     """
+    codec = JointStateCodec(names)
+    accepted = f"{len(names)} efforts at the joints, Nm"
 
-    def __init__(
-        self, joints: JointInterface, names: tuple[str, ...], topic: str, once: OnceLog
-    ) -> None:
-        self._joints = joints
-        self._codec = JointStateCodec(names)
-        self._topic = topic
-        self._once = once
-        self._accepted = f"{len(names)} efforts at the joints, Nm"
-
-    def decode(self, raw: bytes) -> Array | None:
-        """Return the motor torques, motor side, Nm, shape (n,), valid until the next call; None for brakes closed.
-
-        Raises:
-            ExchangeError: if the message is not a command for these joints.
-        """
-        _, position, velocity, effort = self._codec.decode(raw)
+    def decode(raw: bytes) -> Array | None:
+        _, position, velocity, effort = codec.decode(raw)
         if effort is not None:
-            return self._joints.motor_torques(effort)
+            return joints.motor_torques(effort)
         if position is not None or velocity is not None:
             given = " and ".join(
                 n for n, v in (("position", position), ("velocity", velocity)) if v is not None
             )
-            raise ExchangeError(f"{given} without effort; accepted: {self._accepted}")
-        self._once.say(
-            f"{self._topic}: effort is empty: no torque, brakes closed; for torque: {self._accepted}"
-        )
+            raise ExchangeError(f"{given} without effort; accepted: {accepted}")
+        once.say(f"{topic}: effort is empty: no torque, brakes closed; for torque: {accepted}")
         return None
+
+    return decode
 
 
 class CommandWatch:

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import RowOf, as_refusal, quantity, refusal
+from rx90_common.base.models import NotNegative, RowOf, as_refusal, quantity, refusal
 from rx90_common.base.quoting import counted
 from rx90_common.base.rates import ticks_per
 from rx90_common.description.robot import RobotModel, load_robot
@@ -55,14 +55,13 @@ class SimulationParameters(RobotParameters):
         ),
     ] = "lock_step"
     real_time_factor: Annotated[
-        float, quantity("1", "Pace in lock_step, 0 for as fast as it goes.", ge=0.0, le=1000.0)
+        NotNegative, quantity("1", "Pace in lock_step, 0 for as fast as it goes.", le=1000.0)
     ] = 1.0
     command_timeout: Annotated[
-        float,
+        NotNegative,
         quantity(
             "s",
             "free_running: wait for a late motor command before the brakes close.",
-            ge=0.0,
             le=10.0,
         ),
     ] = 0.5
@@ -99,7 +98,7 @@ class SimulationParameters(RobotParameters):
         ),
     ] = (0.0,)
     duration: Annotated[
-        float, quantity("s", "Simulated time after which the node ends; 0: never.", ge=0.0, le=1e9)
+        NotNegative, quantity("s", "Simulated time after which the node ends; 0: never.", le=1e9)
     ] = 0.0
     paused: Annotated[bool, Field(description="Begin with time standing still.")] = False
     substeps: Annotated[

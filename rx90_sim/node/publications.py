@@ -21,7 +21,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import ticks_per
 from rx90_common.description.kinematics import LinkTransforms
 from rx90_common.description.robot import RobotModel
-from rx90_common.exchange.cdr import JointStateCodec, TransformCodec
+from rx90_common.exchange.cdr import JointStateCodec, transform_encoder
 from rx90_common.exchange.endpoints import CLOCK_QOS, LATCHED_QOS, STATE_QOS, ros_time
 from rx90_common.exchange.topics import SAMPLED, SAMPLED_RATE
 from rx90_common.process.requirements import missing_module
@@ -142,13 +142,13 @@ class Publications:
         fixed = LinkTransforms(robot, fixed=True)
         still = fixed.rotation(np.zeros(len(robot.joint_names)))
         self._static = node.create_publisher(TFMessage, "/tf_static", LATCHED_QOS)
-        self._static.publish(TransformCodec(fixed.links, fixed.translation).encode(0, still))
+        self._static.publish(transform_encoder(fixed.links, fixed.translation)(0, still))
         position = self._plant.joint_states()[0]
-        codec = TransformCodec(moving.links, moving.translation)
+        encode = transform_encoder(moving.links, moving.translation)
         return PeriodicMessage(
             node.create_publisher(TFMessage, "/tf", STATE_QOS),
             ticks,
-            lambda stamp: codec.encode(stamp, moving.rotation(position)),
+            lambda stamp: encode(stamp, moving.rotation(position)),
         )
 
     def publish_due(self) -> None:

@@ -18,7 +18,7 @@ from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.channel import Channel, MakeChannel
 from rx90_common.exchange.endpoints import LATCHED_QOS, REQUEST_QOS
-from rx90_common.exchange.lifecycle import Diagnostics, ManagedNode, started
+from rx90_common.exchange.lifecycle import ManagedNode, publish_diagnostics, started
 from rx90_common.exchange.lifecycle import spin as spin_nodes
 from rx90_common.exchange.pacing import check_factor
 from rx90_common.exchange.parameters import Effective
@@ -152,7 +152,7 @@ class SimulatedArm:
         node.create_service(SetBool, "~/pause", self._on_pause, qos_profile=REQUEST_QOS)
         node.create_service(Trigger, "~/step", self._on_step, qos_profile=REQUEST_QOS)
         node.create_service(Trigger, "~/reset", self._on_reset, qos_profile=REQUEST_QOS)
-        self._diagnostics = Diagnostics(node, self._status)
+        publish_diagnostics(node, self._status)
 
     def activate(self) -> None:
         """Let time run."""

@@ -18,7 +18,7 @@ from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.lockstep import LockstepSimulation
 from rx90_common.exchange.pacing import OnceLog, Pacer, ThrottledLog
 from rx90_common.exchange.topics import COMMAND_INTERFACES, JOINT_INTERFACE, LOCK_STEP, motor_names
-from rx90_sim.node.held_command import CommandWatch, HeldCommand, JointCommands, NewestCommand
+from rx90_sim.node.held_command import CommandWatch, HeldCommand, NewestCommand, joint_commands
 from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.node.publications import Publications
 from rx90_sim.plant import JointInterface, Plant
@@ -204,9 +204,7 @@ class Ticks:
             self._joints = joints = JointInterface(plant, rates, parameters.command_hz)
             self._command_ticks = joints.ticks
             self._encode_states = JointStateCodec(plant.joint_names).encoder(*joints.measure())
-            self._decode = JointCommands(
-                joints, plant.joint_names, channel.subscribe_topic, once
-            ).decode
+            self._decode = joint_commands(joints, plant.joint_names, channel.subscribe_topic, once)
             self._complain: Callable[[str], None] = once.say
             timeout = parameters.command_age_limit
             hold: type[HeldCommand] = NewestCommand

@@ -14,7 +14,7 @@ from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
 from rx90_common.exchange.pacing import OnceLog, ThrottledLog
 from rx90_sim.node import held_command
-from rx90_sim.node.held_command import CommandWatch, HeldCommand, JointCommands, NewestCommand
+from rx90_sim.node.held_command import CommandWatch, HeldCommand, NewestCommand, joint_commands
 
 CODEC = JointStateCodec(["a"])
 PERIOD = 250_000
@@ -245,7 +245,7 @@ def test_each_fault_is_one_line(drive: Drive, names: tuple[str, ...], arrays: di
     """However often it comes: what is wrong, and what is expected; the next right command is followed."""
     once = OnceLog(drive.said.append, lambda: drive.now)
     joints: Any = SimpleNamespace(motor_torques=lambda effort: effort)
-    drive.hold(NewestCommand, 0.01, once.say, JointCommands(joints, JOINTS, "/joint_commands", once).decode)
+    drive.hold(NewestCommand, 0.01, once.say, joint_commands(joints, JOINTS, "/joint_commands", once))
     for k in range(1, 51):
         drive.inbox = [JointStateCodec(names).encode(k * PERIOD, **arrays)]
         assert drive.tick() is None

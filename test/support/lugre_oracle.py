@@ -11,8 +11,16 @@ import pytest
 
 from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.compiled_elements import element_arrays, one_element
+from rx90_common.friction.compiled_elements import Elements, element_arrays, lane_of, load_elements
 from rx90_common.friction.element import FRICTION_UNITS
+from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.lanes import size
+
+
+@kernel
+def one_element(arrays: Any, index: int) -> Elements:
+    """Return one element of a record, in plain numbers."""
+    return lane_of(load_elements(arrays, size(arrays.c0)), index)
 
 
 @dataclass(frozen=True)

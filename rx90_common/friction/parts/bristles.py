@@ -6,7 +6,6 @@ Their equations stand with their compiled steps in elasto_plastic.py and maxwell
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
@@ -19,8 +18,8 @@ from pydantic import (
     model_validator,
 )
 
-from rx90_common.base.arrays import Array, record_type
-from rx90_common.base.models import JsonSchema, quantity, refusal
+from rx90_common.base.arrays import Array, RecordType, record_type
+from rx90_common.base.models import JsonSchema, NotNegative, Positive, quantity, refusal
 from rx90_common.friction.maxwell_slip import MAX_BLOCKS, blocks_dtype
 from rx90_common.friction.parts.part import FrictionPart, Part, Surroundings
 from rx90_common.kernels.compiled import inlined
@@ -66,10 +65,8 @@ class ElastoPlastic(BristlesPart):
 
     kind: Literal["elasto_plastic"] = "elasto_plastic"
     break_away: Annotated[
-        float,
-        quantity(
-            "1", "Deflection up to which the bristles are purely elastic, in parts of tau_c / c0.",
-            ge=0.0, le=MAX_BREAK_AWAY,
+        NotNegative, quantity(
+            "1", "Deflection up to which the bristles are purely elastic, in parts of tau_c / c0.", le=MAX_BREAK_AWAY,
         ),
     ]  # fmt: skip
 
@@ -94,10 +91,8 @@ class MaxwellSlip(BristlesPart):
         _Shares, quantity("1", "Share of each block in the sliding torque; they sum to 1.")
     ]
     attraction: Annotated[
-        float,
-        quantity(
+        Positive, quantity(
             "Nm/s", "Attraction of the sliding curve; torques come to it at the rate attraction / sliding torque.",
-            gt=0.0,
         ),
     ]  # fmt: skip
 
@@ -124,7 +119,7 @@ class MaxwellSlip(BristlesPart):
 Bristles: TypeAlias = Annotated[ElastoPlastic | MaxwellSlip, Field(discriminator="kind")]
 
 
-def bristles_dtype(width: int) -> np.dtype[np.void]:
+def bristles_dtype(width: int) -> RecordType:
     """Return the type of the constants of `width` elements' bristles."""
     return record_type(
         ("blocked", np.int64, (width,)),  # 1 where it has blocks
@@ -136,7 +131,7 @@ def bristles_dtype(width: int) -> np.dtype[np.void]:
     )
 
 
-def bristles_state_dtype(width: int) -> np.dtype[np.void]:
+def bristles_state_dtype(width: int) -> RecordType:
     """Return the type of the bristles' state besides the deflection that every element has."""
     return record_type(
         blocks=(width, 2, MAX_BLOCKS),  # deflections and senses, as `maxwell_slip_step` has them
@@ -145,22 +140,19 @@ def bristles_state_dtype(width: int) -> np.dtype[np.void]:
     )
 
 
-def fill_bristles(
-    record: Any, kinds: Sequence[BristlesPart | None], _: Surroundings | None = None
-) -> None:
-    """Write the bristles of elements into a record of `bristles_dtype(len(kinds))`, zero before; None is LuGre's."""
-    blocks = record["blocks"]
-    blocks["reach"] = blocks["attraction"] = 1.0
-    for e, kind in enumerate(kinds):
-        if isinstance(kind, ElastoPlastic):
-            record["elastic_used"] = record["elastic"][e] = 1
-            record["break_away"][e] = kind.break_away
-        elif isinstance(kind, MaxwellSlip):
-            record["blocks_used"] = record["blocked"][e] = 1
-            used = slice(len(kind.stiffness))
-            blocks["stiffness"][e, used] = kind.stiffness
-            blocks["reach"][e, used] = np.divide(kind.share, kind.stiffness)
-            blocks["attraction"][e] = kind.attraction
+def fill_bristles(record: Any, e: int, kind: BristlesPart, _: Surroundings | None = None) -> None:
+    """Write the bristles of element e into a record of `bristles_dtype`, zero before: zeros are LuGre's."""
+    if isinstance(kind, ElastoPlastic):
+        record["elastic_used"] = record["elastic"][e] = 1
+        record["break_away"][e] = kind.break_away
+    elif isinstance(kind, MaxwellSlip):
+        record["blocks_used"] = record["blocked"][e] = 1
+        blocks = record["blocks"]
+        used = slice(len(kind.stiffness))
+        blocks["stiffness"][e, used] = kind.stiffness
+        blocks["reach"][e] = 1.0
+        blocks["reach"][e, used] = np.divide(kind.share, kind.stiffness)
+        blocks["attraction"][e] = kind.attraction
 
 
 @inlined

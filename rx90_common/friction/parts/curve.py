@@ -15,15 +15,14 @@ The storage c0 z^2 / 2 does not depend on g: the element is passive where c1 |v|
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from rx90_common.base.arrays import Array, record_type
-from rx90_common.base.models import FileModel, quantity, refusal
+from rx90_common.base.arrays import Array, RecordType, record_type
+from rx90_common.base.models import FileModel, Positive, quantity, refusal
 from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings
 from rx90_common.friction.signs import BySign
 from rx90_common.kernels.compiled import inlined
@@ -34,7 +33,7 @@ MAX_POINTS = 64
 
 _list = Field(strict=False, min_length=2, max_length=MAX_POINTS)
 _Speeds: TypeAlias = Annotated[tuple[Annotated[float, Field(ge=0.0, le=1e6)], ...], _list]
-_Torques: TypeAlias = Annotated[tuple[Annotated[float, Field(gt=0.0)], ...], _list]
+_Torques: TypeAlias = Annotated[tuple[Positive, ...], _list]
 
 
 class Cubics(NamedTuple):
@@ -149,7 +148,7 @@ class CurvePart(BySign[CurveTable], FrictionPart):
     @property
     def steepest(self) -> float:
         """Return the largest growth of the torque with the speed, Nm s/rad."""
-        return max(0.0, self.positive.steepest, self.negative.steepest)
+        return max(0.0, *(table.steepest for table in self.both))
 
     @property
     def at_rest(self) -> BySign[float]:
@@ -169,10 +168,10 @@ class CurvePart(BySign[CurveTable], FrictionPart):
     def sliding_torque(self, velocity: Array, torque: Array) -> Array:  # noqa: ARG002 - replaced
         """Return the torque of the tables, Nm."""
         speed = np.abs(velocity)
-        return np.where(velocity >= 0.0, self.positive.at(speed), self.negative.at(speed))
+        return np.where(velocity >= 0.0, *(table.at(speed) for table in self.both))
 
 
-def curve_dtype(width: int) -> np.dtype[np.void]:
+def curve_dtype(width: int) -> RecordType:
     """Return the type of the constants: the pieces of each sign; none where the part is off."""
     rows = (2, MAX_POINTS + 1, width)
     return record_type(
@@ -183,22 +182,20 @@ def curve_dtype(width: int) -> np.dtype[np.void]:
     )
 
 
-def curve_state_dtype(width: int) -> np.dtype[np.void]:
+def curve_state_dtype(width: int) -> RecordType:
     """Return the type of the state: sliding torques of the step, workspace, 0 where the part is off."""
     return record_type(torque=width)
 
 
-def fill_curve(record: Any, parts: Sequence[CurvePart | None], _: Surroundings) -> None:
-    """Write the constants, an element for each of `parts`."""
-    for i, part in enumerate(parts):
-        if part is not None:
-            record["used"] = 1
-            for sign, table in enumerate((part.positive, part.negative)):
-                start, coefficients = table.cubics
-                count = len(start)
-                record["pieces"][sign, i] = count
-                record["start"][sign, :count, i] = start
-                record["coefficients"][:, sign, :count, i] = coefficients
+def fill_curve(record: Any, e: int, part: CurvePart, _: Surroundings) -> None:
+    """Write the constants of element e."""
+    record["used"] = 1
+    for sign, table in enumerate(part.both):
+        start, coefficients = table.cubics
+        count = len(start)
+        record["pieces"][sign, e] = count
+        record["start"][sign, :count, e] = start
+        record["coefficients"][:, sign, :count, e] = coefficients
 
 
 @inlined

@@ -37,14 +37,13 @@ The part only adds to the sliding torque, so it does not reduce the passivity of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from rx90_common.base.arrays import record_type
-from rx90_common.base.models import quantity, refusal
+from rx90_common.base.arrays import RecordType, record_type
+from rx90_common.base.models import NotNegative, Positive, quantity, refusal
 from rx90_common.friction.parts.part import MIN_SPEED, FrictionPart, Part, Present, Surroundings
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import exponential, power
@@ -59,8 +58,8 @@ RELAX_TIME = 1e-3
 LARGEST_COEFFICIENT = 0.95
 """Largest Coulomb torque over load torque: below 1 the loop above is stable."""
 
-_Coefficient: TypeAlias = Annotated[float, quantity("1", "", ge=0.0, le=LARGEST_COEFFICIENT)]
-_Quadratic: TypeAlias = Annotated[float, quantity("1/Nm", "", ge=0.0, le=1.0)]
+_Coefficient: TypeAlias = Annotated[NotNegative, quantity("1", "", le=LARGEST_COEFFICIENT)]
+_Quadratic: TypeAlias = Annotated[NotNegative, quantity("1/Nm", "", le=1.0)]
 
 
 class LoadPart(FrictionPart):
@@ -91,20 +90,18 @@ class LoadPart(FrictionPart):
         Field(description="Growth of static torque by the square of the load torque, driven."),
     ] = 0.0
     omega_s: Annotated[
-        float,
+        NotNegative,
         quantity(
             "rad/s",
             "Stribeck velocity of the load's share; 0: that of the element.",
-            ge=0.0,
             le=1e6,
         ),
     ] = 0.0
     relax_time: Annotated[
-        float,
+        Positive,
         quantity(
             "s",
             "Time in which friction follows the load, at least the plant's step.",
-            gt=0.0,
             le=1.0,
         ),
     ] = RELAX_TIME
@@ -120,7 +117,7 @@ class LoadPart(FrictionPart):
         return self
 
 
-def load_dtype(width: int) -> np.dtype[np.void]:
+def load_dtype(width: int) -> RecordType:
     """Return the type of the constants: a row for each of DIRECTIONS; the rate is 0 where the part is off."""
     rows = (len(DIRECTIONS), width)
     return record_type(
@@ -133,22 +130,20 @@ def load_dtype(width: int) -> np.dtype[np.void]:
     )
 
 
-def load_state_dtype(width: int) -> np.dtype[np.void]:
+def load_state_dtype(width: int) -> RecordType:
     """Return the type of the state: the load, Nm, and its slope over the last step, Nm/s."""
     return record_type(torque=width, slope=width)
 
 
-def fill_load(record: Any, parts: Sequence[LoadPart | None], _: Surroundings) -> None:
-    """Write the constants, an element for each of `parts`."""
-    for i, part in enumerate(parts):
-        if part is not None:
-            record["coulomb"][:, i] = part.driving, part.driven
-            record["stribeck"][:, i] = part.stribeck_driving, part.stribeck_driven
-            record["quadratic"][:, i] = part.quadratic_driving, part.quadratic_driven
-            if part.omega_s > 0.0:
-                record["fades"] = 1
-                record["inverse_omega_s"][i] = 1.0 / part.omega_s
-            record["rate"][i] = 1.0 / part.relax_time
+def fill_load(record: Any, e: int, part: LoadPart, _: Surroundings) -> None:
+    """Write the constants of element e."""
+    record["coulomb"][:, e] = part.driving, part.driven
+    record["stribeck"][:, e] = part.stribeck_driving, part.stribeck_driven
+    record["quadratic"][:, e] = part.quadratic_driving, part.quadratic_driven
+    if part.omega_s > 0.0:
+        record["fades"] = 1
+        record["inverse_omega_s"][e] = 1.0 / part.omega_s
+    record["rate"][e] = 1.0 / part.relax_time
 
 
 @inlined

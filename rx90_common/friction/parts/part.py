@@ -9,9 +9,7 @@ from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, RecordType
 from rx90_common.base.models import FileModel, accepted_values, schema_of
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lanes import Lanes
@@ -120,7 +118,7 @@ class Part:
     Attributes:
         models: of its block in a file, one for each kind.
         constants: type of its constants for so many elements; zeros where the part is off.
-        fill: writes the constants; the record, parts of the elements or None, surroundings.
+        fill: writes the constants of an element that has the part; (record, its number, part, surroundings).
         state: type of its state, if it has one.
         present: returns the changed `Present`; (parts, state, present, angle, velocity, time ahead, width).
         settle: begins anew, but for temperatures.
@@ -129,9 +127,9 @@ class Part:
     """
 
     models: Sequence[type[FileModel]]
-    constants: Callable[[int], np.dtype[np.void]]
-    fill: Callable[[Any, Sequence[Any], Surroundings], None]
-    state: Callable[[int], np.dtype[np.void]] | None = None
+    constants: Callable[[int], RecordType]
+    fill: Callable[[Any, int, Any, Surroundings], None]
+    state: Callable[[int], RecordType] | None = None
     present: Any = None
     settle: Any = None
     advance: Any = None

@@ -14,13 +14,12 @@ of the element is that of its least sliding torque, (1 - sum of the amplitudes) 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from rx90_common.base.arrays import record_type
+from rx90_common.base.arrays import RecordType, record_type
 from rx90_common.base.models import Row, quantity, refusal
 from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings, scaled
 from rx90_common.kernels.compiled import inlined
@@ -95,7 +94,7 @@ class RipplePart(FrictionPart):
         return 1.0 - sum((*self.joint_amplitude, *self.motor_amplitude))
 
 
-def ripple_dtype(width: int) -> np.dtype[np.void]:
+def ripple_dtype(width: int) -> RecordType:
     """Return the type of the constants: how many terms there are, and a row for each."""
     rows = (2 * MAX_TERMS, width)
     return record_type(
@@ -106,25 +105,18 @@ def ripple_dtype(width: int) -> np.dtype[np.void]:
     )
 
 
-def fill_ripple(
-    record: Any, parts: Sequence[RipplePart | None], surroundings: Surroundings
-) -> None:
-    """Write the constants, an element for each of `parts`."""
-    most = 0
-    for i, part in enumerate(parts):
-        if part is None:
-            continue
-        row = 0
-        for series, ratio in zip(part.series, (1.0, surroundings.gear[i]), strict=True):
-            phase = series.phase or (0.0,) * len(series.harmonic)
-            for k, harmonic in enumerate(series.harmonic):
-                sine, cosine = sines_cosines(np.array([phase[k]]))
-                record["harmonic"][row, i] = harmonic * ratio
-                record["cosine"][row, i] = series.amplitude[k] * cosine[0]
-                record["sine"][row, i] = -series.amplitude[k] * sine[0]
-                row += 1
-        most = max(most, row)
-    record["terms"] = most
+def fill_ripple(record: Any, e: int, part: RipplePart, surroundings: Surroundings) -> None:
+    """Write the constants of element e."""
+    row = 0
+    for series, ratio in zip(part.series, (1.0, surroundings.gear[e]), strict=True):
+        phase = series.phase or (0.0,) * len(series.harmonic)
+        for k, harmonic in enumerate(series.harmonic):
+            sine, cosine = sines_cosines(np.array([phase[k]]))
+            record["harmonic"][row, e] = harmonic * ratio
+            record["cosine"][row, e] = series.amplitude[k] * cosine[0]
+            record["sine"][row, e] = -series.amplitude[k] * sine[0]
+            row += 1
+    record["terms"] = max(record["terms"], row)
 
 
 @inlined

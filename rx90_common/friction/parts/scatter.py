@@ -18,14 +18,13 @@ positive; passive_damping of the element is that of (1 - 4 deviation) times its 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Annotated, Any
 
 import numpy as np
 
-from rx90_common.base.arrays import record_type
+from rx90_common.base.arrays import RecordType, record_type
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import quantity
+from rx90_common.base.models import Positive, quantity
 from rx90_common.base.quoting import quoted
 from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings, scaled
 from rx90_common.kernels.compiled import inlined
@@ -58,8 +57,8 @@ class ScatterPart(FrictionPart):
     """
 
     deviation: Annotated[
-        float,
-        quantity("1", "Standard deviation, share of Coulomb and static torque.", gt=0.0, le=0.2),
+        Positive,
+        quantity("1", "Standard deviation, share of Coulomb and static torque.", le=0.2),
     ]
     correlation_time: Annotated[
         float, quantity("s", "Time in which the walk forgets.", ge=1e-2, le=1e7)
@@ -71,27 +70,23 @@ class ScatterPart(FrictionPart):
         return 1.0 - BOUND * self.deviation
 
 
-def scatter_dtype(width: int) -> np.dtype[np.void]:
+def scatter_dtype(width: int) -> RecordType:
     """Return the type of the constants; the deviation is 0 where the part is off."""
     return record_type(seed=np.uint64, deviation=width, decay=width, kick=width)
 
 
-def scatter_state_dtype(width: int) -> np.dtype[np.void]:
+def scatter_state_dtype(width: int) -> RecordType:
     """Return the type of the state; the factor is what Coulomb and static torque are multiplied with."""
     return record_type(("counter", np.uint64, (width,)), walk=width, factor=width)
 
 
-def fill_scatter(
-    record: Any, parts: Sequence[ScatterPart | None], surroundings: Surroundings
-) -> None:
-    """Write the constants, an element for each of `parts`."""
+def fill_scatter(record: Any, e: int, part: ScatterPart, surroundings: Surroundings) -> None:
+    """Write the constants of element e."""
+    ticks = surroundings.period / part.correlation_time
     record["seed"] = surroundings.seed
-    for i, part in enumerate(parts):
-        if part is not None:
-            ticks = surroundings.period / part.correlation_time
-            record["deviation"][i] = part.deviation
-            record["decay"][i] = 1.0 + exponential_less_one_of(-ticks)
-            record["kick"][i] = math.sqrt(-exponential_less_one_of(-2.0 * ticks))
+    record["deviation"][e] = part.deviation
+    record["decay"][e] = 1.0 + exponential_less_one_of(-ticks)
+    record["kick"][e] = math.sqrt(-exponential_less_one_of(-2.0 * ticks))
 
 
 @inlined

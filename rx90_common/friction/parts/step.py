@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rx90_common.base.arrays import record_type
+from rx90_common.base.arrays import RecordType, record_type
 from rx90_common.friction.compiled_elements import (
     Elements,
     bristles_energy,
@@ -25,13 +25,13 @@ from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lanes import Lanes, fma, load
 
 
-def parts_dtype(width: int) -> np.dtype[np.void]:
+def parts_dtype(width: int) -> RecordType:
     """Return the type of the constants of the parts of `width` elements, the element the last index."""
     constants = [(name, part.constants(width)) for name, part in PARTS.items()]
     return record_type(*constants, used=np.int64)  # used: 1 if any element has any part
 
 
-def parts_state_dtype(width: int) -> np.dtype[np.void]:
+def parts_state_dtype(width: int) -> RecordType:
     """Return the type of the state of the parts of `width` elements."""
     return record_type(
         *((name, part.state(width)) for name, part in PARTS.items() if part.state is not None),
@@ -61,8 +61,9 @@ def fill_parts(
     """
     record["used"] = int(any(element.parts for element in elements))
     surroundings = Surroundings(gear, period, seed, motor_heat or [0.0] * len(elements))
-    for name, part in PARTS.items():
-        part.fill(record[name], [element.parts.get(name) for element in elements], surroundings)
+    for e, element in enumerate(elements):
+        for name, part in element.parts.items():
+            PARTS[name].fill(record[name], e, part, surroundings)
 
 
 def _changing(hooks: Sequence[Any]) -> Any:

@@ -32,15 +32,15 @@ temperature: passive_damping is that of the least static torque and the least St
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import model_validator
 
-from rx90_common.base.arrays import record_type
-from rx90_common.base.models import quantity, refusal
+from rx90_common.base.arrays import RecordType, record_type
+from rx90_common.base.models import Positive, quantity, refusal
 from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings
+from rx90_common.friction.signs import SIGNS
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import exponential_less_one, exponential_less_one_of
 from rx90_common.kernels.lanes import Lanes, fma, load, select, store
@@ -75,8 +75,8 @@ class TemperaturePart(FrictionPart):
     highest: Annotated[float, _degrees("Highest temperature for which it holds.")]
     start: Annotated[float, _degrees("Temperature at the start and after a reset.")]
     ambient: Annotated[float, _degrees("Temperature of the surroundings.")]
-    capacity: Annotated[float, quantity("J/K", "Heat capacity of the joint.", gt=0.0, le=1e9)]
-    resistance: Annotated[float, quantity("K/W", "Between joint and surroundings.", gt=0.0, le=1e6)]
+    capacity: Annotated[Positive, quantity("J/K", "Heat capacity of the joint.", le=1e9)]
+    resistance: Annotated[Positive, quantity("K/W", "Between joint and surroundings.", le=1e6)]
     viscous_scale: Annotated[
         float, quantity("K", "Rise that takes viscous friction to 1/e.", ge=1.0, le=1000.0)
     ]
@@ -124,35 +124,28 @@ class TemperaturePart(FrictionPart):
         """Return an element that has nowhere more friction than this one has at any temperature."""
         ends = np.array([self.lowest, self.highest]) - self.reference
         speed = float(np.min(1.0 + self.speed_slope * ends))
-        static = float(np.min(1.0 + self.static_slope * ends))
+        share = min(1.0, float(np.min(1.0 + self.static_slope * ends)))
+        static = [
+            max(coulomb, static + (share - 1.0) * (static - coulomb))
+            for coulomb, static in zip(element.tau_c.both, element.tau_s.both, strict=True)
+        ]
         return element.replaced(
             omega_s=element.omega_s * min(1.0, speed),
-            tau_s={
-                "positive": _between(
-                    element.tau_c.positive, element.tau_s.positive, min(1.0, static)
-                ),
-                "negative": _between(
-                    element.tau_c.negative, element.tau_s.negative, min(1.0, static)
-                ),
-            },
+            tau_s=dict(zip(SIGNS, static, strict=True)),
             temperature=None,
         )
-
-
-def _between(coulomb: float, static: float, share: float) -> float:
-    return max(coulomb, static + (share - 1.0) * (static - coulomb))
 
 
 _PLAIN = ("reference", "highest", "start", "ambient", "resistance", "speed_slope", "static_slope")
 
 
-def temperature_dtype(width: int) -> np.dtype[np.void]:
+def temperature_dtype(width: int) -> RecordType:
     """Return the type of the constants; a slope, or the share that fades, is 0 where the part is off."""
     names = (*_PLAIN, "inverse_scale", "fading", "gain", "motor")
     return record_type(used=np.int64, **dict.fromkeys(names, width))
 
 
-def temperature_state_dtype(width: int) -> np.dtype[np.void]:
+def temperature_state_dtype(width: int) -> RecordType:
     """Return the type of the state."""
     return record_type(
         temperature=width,  # degrees Celsius
@@ -166,21 +159,19 @@ def temperature_state_dtype(width: int) -> np.dtype[np.void]:
 
 
 def fill_temperature(
-    record: Any, parts: Sequence[TemperaturePart | None], surroundings: Surroundings
+    record: Any, e: int, part: TemperaturePart, surroundings: Surroundings
 ) -> None:
-    """Write the constants, an element for each of `parts`."""
-    for i, part in enumerate(parts):
-        if part is not None:
-            record["used"] = 1
-            values = part.numbers()
-            for name in _PLAIN:
-                record[name][i] = values[name]
-            record["inverse_scale"][i] = 1.0 / part.viscous_scale
-            record["fading"][i] = 1.0 - part.viscous_floor
-            record["gain"][i] = -exponential_less_one_of(
-                -surroundings.period / (part.capacity * part.resistance)
-            )
-            record["motor"][i] = part.motor_share * surroundings.motor_heat[i]
+    """Write the constants of element e."""
+    record["used"] = 1
+    values = part.numbers()
+    for name in _PLAIN:
+        record[name][e] = values[name]
+    record["inverse_scale"][e] = 1.0 / part.viscous_scale
+    record["fading"][e] = 1.0 - part.viscous_floor
+    record["gain"][e] = -exponential_less_one_of(
+        -surroundings.period / (part.capacity * part.resistance)
+    )
+    record["motor"][e] = part.motor_share * surroundings.motor_heat[e]
 
 
 @inlined

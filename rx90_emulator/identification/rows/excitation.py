@@ -221,7 +221,8 @@ class ExcitationProblem:
         ]
         group = self.run * len(self.arm.names) + self.joint
         group = np.unique(group, return_inverse=True)[1]
-        return FrictionRows(self.torque, self.regressor, elements, group, self.block)
+        prior = np.empty((0, self.regressor.shape[1]))
+        return FrictionRows(self.torque, self.regressor, elements, group, self.block, prior)
 
     def with_columns(self) -> ExcitationProblem:
         """Return the same rows with the filtered columns of the base parameters."""

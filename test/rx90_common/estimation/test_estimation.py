@@ -43,7 +43,7 @@ def sweeps(
         SteadyRows(np.flatnonzero(group == e), velocity[plateau], np.ones(count), limits) for e in range(len(elements))
     ]
     block = np.tile(plateau, len(elements)) + len(velocity) * group
-    return FrictionRows(target + 2.0 * tilt[:, 0], tilt, rows, group, block)
+    return FrictionRows(target + 2.0 * tilt[:, 0], tilt, rows, group, block, np.empty((0, tilt.shape[1])))
 
 
 def element(**changes: float) -> FrictionElement:
@@ -92,6 +92,8 @@ def linear_problem(rng: np.random.Generator, blocks: int, in_block: int, columns
         upper=empty,
         group=np.zeros(len(number), dtype=np.intp),
         block=number,
+        prior=np.empty((0, columns)),
+        spread=empty,
     )
 
 
@@ -113,7 +115,8 @@ def test_deviations_are_the_jackknifes_with_student() -> None:
 def test_unknown_and_bound_parameters_have_no_deviation() -> None:
     """Friction that falls holds c2 at 0; an empty column is not determined."""
     rows = sweeps([element()])
-    rows = replace(rows, linear=np.hstack([rows.linear, np.zeros((len(rows.target), 1))]))
+    linear = np.hstack([rows.linear, np.zeros((len(rows.target), 1))])
+    rows = replace(rows, linear=linear, prior=np.empty((0, linear.shape[1])))
     falling = replace(rows, target=rows.target - 6.0 * np.repeat(np.concatenate([-SPEEDS, SPEEDS]), 4))
     result = fit_laws(falling, [Law()])
     known = deviations(result)

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lugre_oracle import LuGreOracle
+from lugre_oracle import LuGreOracle, one_element
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from signed_element import ELEMENT
 
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import bristle_step, friction_torque
-from rx90_common.friction.compiled_elements import element_arrays, one_element
+from rx90_common.friction.compiled_elements import element_arrays
 
 Record = Callable[[FrictionElement], Any]
 CONSTANT_C1 = ELEMENT.replaced(omega_d=math.inf)

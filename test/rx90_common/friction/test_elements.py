@@ -6,10 +6,11 @@ import numba
 import numpy as np
 import pytest
 from bristle_oracles import random_element
+from lugre_oracle import one_element
 
 from rx90_common.base.arrays import Array
 from rx90_common.friction.bristle import bristle_step, friction_torque
-from rx90_common.friction.compiled_elements import element_arrays, load_elements, one_element
+from rx90_common.friction.compiled_elements import element_arrays, load_elements
 from rx90_common.friction.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 from rx90_common.kernels.lanes import load, store
 

@@ -8,10 +8,11 @@ import pytest
 from bristle_oracles import ElastoPlasticOracle, MaxwellSlipOracle, random_element
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lugre_oracle import one_element
 from signed_element import ELEMENT
 
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.compiled_elements import bristles_dtype, element_arrays, one_element
+from rx90_common.friction.compiled_elements import bristles_dtype, element_arrays
 from rx90_common.friction.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 from rx90_common.friction.maxwell_slip import MAX_BLOCKS, maxwell_slip_step, maxwell_slip_torque
 from rx90_common.friction.parts.bristles import MaxwellSlip, fill_bristles
@@ -69,7 +70,7 @@ BLOCKS = MaxwellSlip(stiffness=(0.5, 0.3, 0.2), share=(0.2, 0.3, 0.5), attractio
 
 def record_of(blocks: MaxwellSlip) -> Any:
     record = np.zeros(1, bristles_dtype(1))
-    fill_bristles(record[0], [blocks])
+    fill_bristles(record[0], 0, blocks)
     return record[0]["blocks"]
 
 
