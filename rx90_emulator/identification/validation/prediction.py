@@ -268,7 +268,7 @@ def validate(
     """
     chosen = validation_bandwidths(record, bandwidths)
     runs = filtered_runs(record, robot, chosen)
-    problem = ExcitationProblem.without_columns(robot.arm, runs)
+    problem = ExcitationProblem.of(robot.arm, runs)
     predicted = written_torque(problem, robot.arm, elements)
     if sliding is not None:
         predicted = predicted + _error_of_weights(robot.arm, sliding, problem)
@@ -290,13 +290,12 @@ def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationPro
     Sweeps at constant velocity determine hardly anything of the inertias.
     """
     position = np.concatenate([run.position[run.rows] for run in problem.runs])
-    recorded = np.concatenate([run.parallel(run.torque) for run in problem.runs])
     nothing = np.zeros_like(position)
     regressor = arm.regressor(position, nothing, nothing)
     values, directions = np.linalg.eigh(sliding.inertial_covariance)
     parts = regressor @ (directions * np.sqrt(np.maximum(values, 0.0)))
     deviation = np.sqrt(np.mean(np.sum(parts**2, axis=2), axis=0))
-    known = deviation <= _MAX_WEIGHT_SD * np.sqrt(np.mean(recorded**2, axis=0))
+    known = deviation <= _MAX_WEIGHT_SD * np.sqrt(np.mean(problem.recorded**2, axis=0))
     return np.where(known, regressor @ sliding.inertial, 0.0)[problem.sample, problem.joint]
 
 
