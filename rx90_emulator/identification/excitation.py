@@ -58,7 +58,6 @@ from rx90_emulator.identification.validation.prediction import (
     Validation,
     drive_torque,
     filtered_runs,
-    recorded_equations,
     validation_bandwidths,
     written_torque,
 )
@@ -114,7 +113,8 @@ def identify_excitation(
     source, records = _recorded(robot, bags, validation, progress, currents=True)
     progress("filters and equations")
     bandwidths = Bandwidths.of(records["excitation"], bandwidth)
-    problem = recorded_equations(records["excitation"], source, bandwidths, rotors=rotors)
+    runs = filtered_runs(records["excitation"], source, bandwidths)
+    problem = ExcitationProblem.of(source.arm, runs, rotors=rotors)
     notes = (
         *recording_notes(records["excitation"], bandwidths),
         *log_warnings(problem, source.held),
@@ -136,9 +136,7 @@ def identify_excitation(
     compared = motion._replace(
         position=bandwidths.position, torque=min(motion.torque, bandwidths.torque)
     )
-    stated = problem.other(
-        [run for record in records["excitation"] for run in filtered_runs(record, source, compared)]
-    )
+    stated = problem.other(filtered_runs(records["excitation"], source, compared))
     result = ExcitationIdentification(
         robot=source,
         problem=problem,
@@ -192,7 +190,7 @@ def _validation(
 ) -> Validation:
     """Return the verdict of a run that the identification did not use, all predictions on the same rows."""
     bandwidths = validation_bandwidths(record, result.compared)
-    unseen = result.problem.other(filtered_runs(record, result.robot, bandwidths))
+    unseen = result.problem.other(filtered_runs([record], result.robot, bandwidths))
 
     def torques(predicted: Array) -> RunTorques:
         return run_torques(unseen, predicted)[0]
@@ -315,7 +313,8 @@ def excitation_problem(
         raise IdentificationError("no excitation run; accepted: one or more")
     source, by_use = _recorded(robot, bags)
     records = by_use["excitation"]
-    return recorded_equations(records, source, bandwidths or Bandwidths.of(records))
+    runs = filtered_runs(records, source, bandwidths or Bandwidths.of(records))
+    return ExcitationProblem.of(source.arm, runs)
 
 
 def predict_torque(

@@ -206,7 +206,7 @@ class ExcitationIdentification(Identification):
             if high > 0.0:
                 speed = np.linspace(low, high, _LINE_POINTS)
                 velocity = np.concatenate([-speed[::-1], speed])
-                line = np.stack([velocity, *self.fitted.element(number).curve(velocity)])
+                line = np.stack([velocity, *self.fitted.elements[number].curve(velocity)])
                 curves[name] = FrictionCurve(nothing, nothing, nothing, nothing, line)
         return curves
 
