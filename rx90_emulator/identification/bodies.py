@@ -74,12 +74,9 @@ def _about_center(mass: float, center: Array, inertia: Array) -> Array:
     return pseudo
 
 
-def central(pseudo: Array) -> tuple[float, Array, Array]:
-    """Return mass, centre of mass (3,) and inertia about it (3, 3) of a positive definite P, shape (4, 4)."""
-    mass = float(pseudo[3, 3])
-    center = pseudo[:3, 3] / mass
-    spread = pseudo[:3, :3] - mass * np.outer(center, center)
-    return mass, center, _other(0.5 * (spread + spread.T), 1.0)
+def body_of(pseudo: Array) -> pin.Inertia:
+    """Return the body with a positive definite P, shape (4, 4)."""
+    return pin.Inertia.FromDynamicParameters(inertial_parameters(pseudo))
 
 
 def is_body(pseudo: Array) -> bool:

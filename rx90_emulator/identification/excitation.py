@@ -111,37 +111,33 @@ def identify_excitation(
             f"--no-rotors {given}; accepted: with --urdf, for torques measured behind the gears"
         )
     source, records = _recorded(robot, bags, validation, progress, currents=True)
+    used = records["excitation"]
     progress("filters and equations")
-    bandwidths = Bandwidths.of(records["excitation"], bandwidth)
-    runs = filtered_runs(records["excitation"], source, bandwidths)
+    bandwidths = Bandwidths.of(used, bandwidth)
+    runs = filtered_runs(used, source, bandwidths)
     problem = ExcitationProblem.of(source.arm, runs, rotors=rotors)
     notes = (
-        *recording_notes(records["excitation"], bandwidths),
+        *recording_notes(used, bandwidths),
         *log_warnings(problem, source.held),
     )
     stated_gears = replace(
         source.options, gear=_gears(source.layout(Path(bags[0]), fast=True), source)
     )
-    sanity = alarms(
-        source.arm, Recorded.of(records["excitation"], source.arm), stated_gears, source.zero
-    )
+    sanity = alarms(source.arm, Recorded.of(used, source.arm), stated_gears, source.zero)
     progress("friction")
     fitted = fit_arm(problem, parts, fixed=model is not None)
-    used = tuple(record.bag for record in records["excitation"])
     progress("consistent inertias")
     consistency = make_consistent(problem, fitted, source, robot)
     arm = written_arm(problem, consistency)
     bodies = moved_bodies(source.arm, arm)
-    motion = Bandwidths.of_motion(records["excitation"])
-    compared = motion._replace(
-        position=bandwidths.position, torque=min(motion.torque, bandwidths.torque)
-    )
-    stated = problem.other(filtered_runs(records["excitation"], source, compared))
+    motion = Bandwidths.of_motion(used)
+    compared = Bandwidths(bandwidths.position, min(motion.torque, bandwidths.torque))
+    stated = problem.other(filtered_runs(used, source, compared))
     result = ExcitationIdentification(
         robot=source,
         problem=problem,
         fitted=fitted,
-        elements=identified_elements(fitted, source.fallback, used),
+        elements=identified_elements(fitted, source.fallback, tuple(record.bag for record in used)),
         base=base_parameters(problem, fitted, consistency),
         consistency=consistency,
         compared=compared,
