@@ -83,7 +83,7 @@ class JointLimits:
                 f"{self.acceleration.tolist()}; accepted: lower < upper, velocity > 0, acceleration > 0"
             )
 
-    def _quantities(self, lower: Array, upper: Array) -> tuple[_Quantity, _Quantity, _Quantity]:
+    def quantities(self, lower: Array, upper: Array) -> tuple[_Quantity, _Quantity, _Quantity]:
         """Return position, velocity and acceleration with their limits; those of the position are given."""
         v = self.velocity
         a = self.acceleration
@@ -163,7 +163,7 @@ class JointLimits:
         """
         tables = (points.position, points.velocity, points.acceleration)
         for quantity, table in zip(
-            self._quantities(self.lower - allowed, self.upper + allowed), tables, strict=True
+            self.quantities(self.lower - allowed, self.upper + allowed), tables, strict=True
         ):
             if table is not None and (found := quantity.first_outside(table)) is not None:
                 row, joint = found
@@ -220,7 +220,7 @@ class JointLimits:
 
     def _certainly_within(self, spline: Spline) -> bool:
         """Return whether bounds of the spline, and so its set-points and the steps between them, are within limits."""
-        quantities = self._quantities(self.lower, self.upper)
+        quantities = self.quantities(self.lower, self.upper)
         extremes = np.stack(spline.bounds(), axis=1)
         return all(
             each.first_outside(pair) is None
@@ -243,7 +243,7 @@ class JointLimits:
         point = np.minimum(np.searchsorted(knots, times), last)
         # At a knot the derivatives are already those of the way to the next point.
         after = np.minimum(np.searchsorted(knots, times, side="right"), last)
-        position, velocity, acceleration = self._quantities(self.lower - reach, self.upper + reach)
+        position, velocity, acceleration = self.quantities(self.lower - reach, self.upper + reach)
         yield position, q, times, point
         yield velocity, v, times, after
         yield acceleration, a, times, after

@@ -275,17 +275,13 @@ def _motion(
     arm: RigidArm, position: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike
 ) -> tuple[Array, Array, Array]:
     """Return a motion as arrays, after a check of their shapes."""
-    motion = (
-        np.asarray(position, np.float64),
-        np.asarray(velocity, np.float64),
-        np.asarray(acceleration, np.float64),
-    )
-    for name, values in zip(("position", "velocity", "acceleration"), motion, strict=True):
-        if values.ndim != 2 or values.shape != (len(motion[0]), len(arm.names)):
+    q, v, a = (np.asarray(values, np.float64) for values in (position, velocity, acceleration))
+    for name, values in (("position", q), ("velocity", v), ("acceleration", a)):
+        if values.ndim != 2 or values.shape != (len(q), len(arm.names)):
             raise IdentificationError(
                 f"{name} has shape {values.shape}; accepted: (m, {len(arm.names)}), all the same"
             )
-    return motion
+    return q, v, a
 
 
 def excitation_problem(

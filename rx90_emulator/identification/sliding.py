@@ -94,7 +94,7 @@ def identify_sliding(
         name = min(lacking, key=lambda name: lacking[name] == _DOES_NOT_SLIDE)
         raise IdentificationError(f"{where}: {name} {lacking[name]}")
     used = ~(~blocks.sliding[blocks.plateau] @ (arm.element_matrix != 0.0)) & arm.identified
-    recorded = Recorded(blocks.motion, blocks.torque, used, blocks.plateau, blocks.later)
+    recorded = Recorded(blocks.motion, blocks.later, used, blocks.plateau)
     scales = torque_scales(arm, recorded)
     doubts = alarms(arm, recorded, zero=zero, scales=scales)
     rows = sweep_rows(blocks, arm, known)

@@ -14,7 +14,7 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.topics import absolute
-from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.arrays import Array, Mask, column_rms
 from rx90_common.base.errors import IdentificationError, TrajectoryError, check_type
 from rx90_common.base.quoting import counted
 from rx90_common.base.rates import NANOSECONDS
@@ -98,7 +98,7 @@ class MeasuredComparison:
     @property
     def position_rms(self) -> Array:
         """Return the RMS position difference, rad, shape (n,)."""
-        return np.asarray(np.sqrt(np.mean(self.position_difference**2, axis=0)))
+        return column_rms(self.position_difference)
 
     @property
     def position_worst(self) -> Array:
@@ -333,11 +333,7 @@ def _beyond(setpoints: _SetPoints, bag: Path, setup: Setup) -> tuple[str, ...]:
     """
     limits = setup.controller.limits(setup.robot)
     found = []
-    for k, (what, unit, low, high) in enumerate((
-        ("position", "rad", limits.lower, limits.upper),
-        ("velocity", "rad/s", -limits.velocity, limits.velocity),
-        ("acceleration", "rad/s^2", -limits.acceleration, limits.acceleration),
-    )):  # fmt: skip
+    for k, (what, unit, low, high, _) in enumerate(limits.quantities(limits.lower, limits.upper)):
         values = setpoints.values[:, k]
         beyond = np.maximum(low - values, values - high) / (high - low)
         row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import correlate
 
-from rx90_common.base.arrays import Array, Index, Mask, rms
+from rx90_common.base.arrays import Array, Index, Mask, column_rms, rms
 from rx90_common.base.errors import IdentificationError
 from rx90_common.estimation.elements import FrictionRows
 from rx90_common.estimation.law import Law, Part, Speeds
@@ -234,7 +234,7 @@ def _phase(run: FilteredRun) -> Index:
     """Return the number of each row in its period; of a run that does not repeat itself, in the run, shape (k,)."""
     place = np.arange(len(run.rows))
     velocity = run.velocity[run.rows]
-    scale = np.sqrt(np.mean(velocity**2, axis=0))
+    scale = column_rms(velocity)
     velocity = velocity / np.where(scale > 0.0, scale, 1.0)
     energy = np.sum(velocity**2)
     if energy == 0.0:

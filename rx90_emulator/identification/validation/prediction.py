@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rx90_common.bags.mapping import is_table
-from rx90_common.base.arrays import Array, interpolated, rms
+from rx90_common.base.arrays import Array, column_rms, interpolated, rms
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.kinematics import tip_position
 from rx90_common.friction import FrictionElement, FrictionSet
@@ -284,7 +284,7 @@ def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationPro
     values, directions = np.linalg.eigh(sliding.inertial_covariance)
     parts = regressor @ (directions * np.sqrt(np.maximum(values, 0.0)))
     deviation = np.sqrt(np.mean(np.sum(parts**2, axis=2), axis=0))
-    known = deviation <= _MAX_WEIGHT_SD * np.sqrt(np.mean(problem.recorded**2, axis=0))
+    known = deviation <= _MAX_WEIGHT_SD * column_rms(problem.recorded)
     return np.where(known, regressor @ sliding.inertial, 0.0)[problem.sample, problem.joint]
 
 
