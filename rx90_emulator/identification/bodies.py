@@ -56,22 +56,10 @@ def inertial_parameters(pseudo: Array) -> Array:
 
     They are about the origin of the frame, and linear in the pseudo-inertias.
     """
-    inertia = _other(pseudo[..., :3, :3], 1.0)[..., _MOMENTS[0], _MOMENTS[1]]
+    spread = pseudo[..., :3, :3]
+    trace = np.trace(spread, axis1=-2, axis2=-1)[..., None, None]
+    inertia = (trace * np.eye(3) - spread)[..., _MOMENTS[0], _MOMENTS[1]]
     return np.concatenate([pseudo[..., 3, 3][..., None], pseudo[..., :3, 3], inertia], axis=-1)
-
-
-def _other(matrix: Array, share: float) -> Array:
-    """Return share tr(M) - M: S of an inertia for a share of 1/2, the inertia of S for 1."""
-    trace = np.trace(matrix, axis1=-2, axis2=-1)
-    return np.asarray(share * trace[..., None, None] * np.eye(3) - matrix)
-
-
-def _about_center(mass: float, center: Array, inertia: Array) -> Array:
-    """Return P, shape (4, 4), of a mass with its centre, shape (3,), and inertia about it, shape (3, 3)."""
-    place = np.append(center, 1.0)
-    pseudo = mass * np.outer(place, place)
-    pseudo[:3, :3] += _other(inertia, 0.5)
-    return pseudo
 
 
 def body_of(pseudo: Array) -> pin.Inertia:
@@ -104,10 +92,6 @@ class MovingBody:
     pseudo: Array
 
 
-_TENSOR = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
-"""Where the entries of an inertia stand in `LinkBody.inertia`."""
-
-
 def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], Array]:
     """Return the links that move, and the frame farthest from each joint that moves with it, m, shape (n, 3).
 
@@ -135,8 +119,10 @@ def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], A
             if body is not None:
                 origin = pin.SE3(pin.rpy.rpyToMatrix(*body.rpy), np.array(body.xyz))
                 to_joint = in_joint @ origin.homogeneous
-                inertia = np.array(body.inertia)[_TENSOR]
-                pseudo = to_joint @ _about_center(body.mass, np.zeros(3), inertia) @ to_joint.T
+                xx, yy, zz, xy, xz, yz = body.inertia
+                numbers = np.array([body.mass, 0.0, 0.0, 0.0, xx, xy, yy, xz, yz, zz])
+                about_center = pin.PseudoInertia.FromDynamicParameters(numbers).toMatrix()
+                pseudo = to_joint @ about_center @ to_joint.T
             bodies.append(MovingBody(frame.name, number[joint], in_joint, pseudo))
     ends = np.zeros((len(joints), 3))
     for joint, place in places:
@@ -267,7 +253,10 @@ def _by_geometry(body: MovingBody, ends: Array) -> MovingBody:
     along = end / length if length > 0.0 else np.zeros(3)
     mass = _DENSITY * 4.0 / 3.0 * np.pi * half * radius**2
     spread = mass / 5.0 * (radius**2 * np.eye(3) + (half**2 - radius**2) * np.outer(along, along))
-    return replace(body, pseudo=_about_center(mass, 0.5 * end, _other(spread, 1.0)))
+    place = np.append(0.5 * end, 1.0)
+    pseudo = mass * np.outer(place, place)
+    pseudo[:3, :3] += spread
+    return replace(body, pseudo=pseudo)
 
 
 GUESSED = 0.1
