@@ -45,7 +45,7 @@ class Recorded:
 
     Attributes:
         motion: position, velocity and acceleration, rad and s, shape (3, m, n).
-        later: the torque that was recorded later by each of LAGS, Nm, shape (l, m, n).
+        later: the torque that was recorded later by each of LAGS, or at once alone, Nm, shape (l, m, n).
         used: where no friction element that acts on the joint rests, shape (m, n).
         block: number of the stretch within which errors are correlated, shape (m,).
     """
@@ -397,7 +397,7 @@ def torque_scales(arm: RigidArm, recorded: Recorded) -> dict[str, float]:
         inputs = velocity[rows][:, arm.element_matrix[:, joint] != 0.0]
         beside = np.hstack([np.ones((len(rows), 1)), np.sign(inputs), inputs])
         both = np.column_stack(
-            [described[rows, joint], recorded.later[len(LAGS) // 2, rows, joint]]
+            [described[rows, joint], recorded.later[len(recorded.later) // 2, rows, joint]]
         )
         needed, given = (both - beside @ np.linalg.lstsq(beside, both, rcond=None)[0]).T
         size = needed @ needed + 1e-12
