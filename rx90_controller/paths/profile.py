@@ -162,10 +162,8 @@ class LimitedProfile:
         distance = np.where(over, self.length, np.where(begun, distance, 0.0))
         # A trapezoid has its accelerations at both ends, too.
         moves = begun & ~over if math.isfinite(self.jerk) else inside == t
-        speed, acceleration = (
-            np.where(moves, self._motion(inside, order), 0.0) for order in (1, 2)
-        )
-        return PathMotion(distance, speed, acceleration)
+        rates = (np.where(moves, self._motion(inside, order), 0.0) for order in (1, 2))
+        return PathMotion(distance, *rates)
 
     def speed_at(self, distance: Array) -> Array:
         """Return the speed in m/s at `distance` m from the start, shape (n,)."""

@@ -275,7 +275,9 @@ def _motion(
     arm: RigidArm, position: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike
 ) -> tuple[Array, Array, Array]:
     """Return a motion as arrays, after a check of their shapes."""
-    q, v, a = (np.asarray(values, np.float64) for values in (position, velocity, acceleration))
+    q = np.asarray(position, np.float64)
+    v = np.asarray(velocity, np.float64)
+    a = np.asarray(acceleration, np.float64)
     for name, values in (("position", q), ("velocity", v), ("acceleration", a)):
         if values.ndim != 2 or values.shape != (len(q), len(arm.names)):
             raise IdentificationError(
