@@ -138,8 +138,12 @@ class MicroMotion:
 
     def load(self, break_away: Array) -> float:
         """Return the largest ratio, over the joints, of the friction's amplitude to break-away, Nm, shape (k,)."""
-        low, high = np.percentile(self.friction, (1.0, 99.0), axis=0)
-        return float(np.max(0.5 * (high - low) / break_away))
+        return float(np.max(amplitudes(self.friction) / break_away))
+
+
+def amplitudes(torque: Array) -> Array:
+    """Return half of the span of each column without its outliers, shape (k,), for an array of shape (m, k)."""
+    return np.asarray(0.5 * np.ptp(np.percentile(torque, (1.0, 99.0), axis=0), axis=0))
 
 
 def find_micro_motions(
