@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import BPoly, BSpline, make_interp_spline
+from scipy.interpolate import BSpline, CubicHermiteSpline, make_interp_spline
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import LogMapping
@@ -19,6 +19,7 @@ from rx90_common.base.errors import IdentificationError, TrajectoryError, check_
 from rx90_common.base.quoting import counted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.topics import MOTOR_STATES
+from rx90_controller.trajectory.spline import interpolate
 from rx90_emulator.identification.options import MeasuredLayout, MeasuredTolerances, Progress
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
 from rx90_emulator.identification.robot import (
@@ -280,7 +281,7 @@ def _recorded_setpoints(
         )
     if (steps != setup.rates.period_ns * setup.rates.ratio).any():
         since = (series.stamp_ns - series.stamp_ns[0]) / NANOSECONDS
-        curve = BPoly.from_derivatives(since, np.stack([position, velocity], axis=1))
+        curve = CubicHermiteSpline(since, position, velocity)
         even = np.arange(int(since[-1] / period + 1e-6) + 1) * period
         position = curve(even)
         velocity = curve(even, 1)
@@ -317,9 +318,10 @@ def _with_lead_in(begin: float, values: Array, setup: Setup, source: str) -> _Se
     start_pose = np.clip(position - 0.5 * lead * period * velocity, limits.lower, limits.upper)
     start_pose = np.where(np.abs(velocity) < _REST_SPEED, position, start_pose)
     still = np.stack([start_pose, 0.0 * start_pose, 0.0 * start_pose])
-    curve = BPoly.from_derivatives([0.0, lead * period], np.stack([still, values[0]]))
-    time = np.arange(lead) * period
-    moving = np.stack([curve(time, nu) for nu in range(3)], axis=1)
+    ends = np.stack([still, values[0]], axis=1)
+    moving = interpolate(np.array([0.0, lead * period]), *ends).sample(
+        np.arange(lead, dtype=np.float64) * period
+    )
     whole = np.ascontiguousarray(
         np.concatenate([np.broadcast_to(still, (hold, *still.shape)), moving, values])
     )
