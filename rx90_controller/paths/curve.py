@@ -311,7 +311,7 @@ class Curve:
                 joints.append(at)
             blended = zone
         self.joints = np.array(joints)
-        self.starts = np.concatenate([[0.0], np.cumsum([piece.length for piece in self._pieces])])
+        self.starts = np.append(0.0, np.cumsum([piece.length for piece in self._pieces]))
         self.length = float(self.starts[-1])
         self.joints[-1] = self.length
 

@@ -80,11 +80,11 @@ class LimitedProfile:
                 phases += self._between(begin, end, mean)
                 phases.append((mean, end, 0.0, 0.0))
             rows = np.array([phase for phase in phases[:-1] if phase[0] > _SHORTEST_PHASE])
-            times = np.concatenate([[0.0], np.cumsum(rows[:, 0])])
+            times = np.append(0.0, np.cumsum(rows[:, 0]))
             if mean == 0.0:
                 return PPoly(np.array([0.5 * rows[:, 3], rows[:, 2], rows[:, 1]]), times)
             at = np.sort(np.concatenate([times, times + mean]))
-            steps_of = np.concatenate([[0.0], rows[:, 3], [0.0]])
+            steps_of = np.pad(rows[:, 3], 1)
             now = steps_of[np.searchsorted(times, at + _SHORTEST_PHASE / 2.0)]
             before = steps_of[np.searchsorted(times, at - mean + _SHORTEST_PHASE / 2.0)]
             jerks = (now - before) / mean
@@ -112,7 +112,7 @@ class LimitedProfile:
             most[rows] = np.minimum(most[rows], one.speed**2)
             most_acceleration[rows] = np.minimum(most_acceleration[rows], one.acceleration)
         ways = np.diff(edges)
-        squares = np.concatenate([[0.0], np.minimum(most[1:], most[:-1]), [0.0]])
+        squares = np.pad(np.minimum(most[1:], most[:-1]), 1)
         gains = 2.0 * most_acceleration * ways
         for k, gain in enumerate(gains):
             squares[k + 1] = min(squares[k + 1], squares[k] + gain)
@@ -148,7 +148,7 @@ class LimitedProfile:
     def corners(self) -> Vector:
         """Return the times at which the acceleration jumps, or its slope, s."""
         times = self._motion.x
-        distinct = np.concatenate([[True], np.diff(times) > 1e-6])
+        distinct = np.append(True, np.diff(times) > 1e-6)
         distinct[-1] = True
         return tuple(times[distinct].tolist())
 

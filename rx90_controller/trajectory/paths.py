@@ -296,7 +296,7 @@ def connect(points: TrajectoryPoints, held: Array, limits: JointLimits) -> Splin
     acceleration = points.acceleration
     later = times[0] > 0
     if later:
-        times = np.concatenate([[0.0], times])
+        times = np.append(0.0, times)
         position = np.vstack([held[0], position])
         velocity = None if velocity is None else np.vstack([held[1], velocity])
         acceleration = None if acceleration is None else np.vstack([held[2], acceleration])
@@ -427,7 +427,7 @@ def straight(
     change = np.diff(speed, axis=0)
     half = (np.abs(change) / (2.0 * limits.acceleration)).max(axis=1, initial=0.0)
     # The ramps at the two ends of each line leave room for each other.
-    ramps = np.concatenate([[begin], half]) + np.concatenate([half, [end]])
+    ramps = np.append(begin, half) + np.append(half, end)
     short = ramps > span * (1.0 + 1e-12)
     if short.any():
         k = int(np.argmax(short))
@@ -517,7 +517,7 @@ def stop(position: Array, velocity: Array, acceleration: Array) -> Spline:
     """
     duration = np.abs(velocity) / acceleration
     rest = position + velocity * duration / 2.0
-    times = np.unique(np.concatenate([[0.0], duration]))
+    times = np.unique(np.append(0.0, duration))
     at = times[:-1, None]
     brake = -np.sign(velocity) * acceleration
     coefficients = np.zeros((len(times) - 1, 6, rest.size))

@@ -241,7 +241,7 @@ def _phase(run: FilteredRun) -> Index:
         return place
     products = [correlate(column, column, method="fft")[len(place) - 1 :] for column in velocity.T]
     ahead = np.cumsum(np.sum(velocity**2, axis=1))
-    shared = 0.5 * (ahead[::-1] + energy - np.concatenate([[0.0], ahead[:-1]]))
+    shared = 0.5 * (ahead[::-1] + energy - np.append(0.0, ahead[:-1]))
     similarity = np.sum(products, axis=0) / np.maximum(shared, 1e-9 * energy)
     low = np.flatnonzero(similarity < 0.5 * SAME_MOTION)  # beyond the width of the peak at no lag
     high = np.flatnonzero((similarity > SAME_MOTION) & (place < 0.7 * len(place)))
