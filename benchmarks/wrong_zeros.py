@@ -58,7 +58,7 @@ def sweeps(seed: int, arm: SyntheticArm, disturbances: Disturbances) -> Recorded
     ripple = disturbances.ripple * np.sin(angle + rng.uniform(0.0, 6.0, n))
     torque = bare + friction @ arm.element_matrix + arm.torque * (noise + ripple)
     used = ~((inputs == 0.0) @ (arm.element_matrix != 0.0))
-    return Recorded(np.stack([q, v, np.zeros_like(q)]), torque, used, np.array(block))
+    return Recorded(np.stack([q, v, np.zeros_like(q)]), torque[None], used, np.array(block))
 
 
 def main() -> int:

@@ -39,6 +39,11 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+def column_rms(values: Array) -> Array:
+    """Return the root mean square of each column, shape (..., n), of an array of shape (m, ..., n)."""
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+
 def interpolated(at: Array, times: NDArray[np.floating[Any]], values: Array) -> Array:
     """Return columns of values, given at times, at others, shape (m, n); the ends hold beyond them."""
     return np.column_stack([np.interp(at, times, column) for column in values.T])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from bokeh.models.renderers import GlyphRenderer
 from bokeh.plotting import figure
 from bokeh.themes import Theme
 
+from rx90_common.base.arrays import Array
 from rx90_common.report.few_points import few_points
 
 MOST_POINTS = 80_000
@@ -103,6 +104,32 @@ def chart(
         )
     )
     return empty
+
+
+def stacked(
+    names: Sequence[str],
+    labels: tuple[str, str],
+    x: Array,
+    lines: Mapping[str, tuple[Array, dict[str, Any]]],
+    across: int = 1,
+) -> list[figure]:
+    """Return a figure for each of n names, with the same lines over one x axis.
+
+    Args:
+        names: titles.
+        labels: of the x axis and of the y axes, with units.
+        x: shape (m,).
+        lines: by their names, values of shape (m, n), and Bokeh's properties.
+        across: how many figures stand side by side.
+    """
+    figures = []
+    for k, name in enumerate(names):
+        shown = chart(name, "", labels[1], height=120)
+        for label, (values, style) in lines.items():
+            shown.line(x, values[:, k], name=label, **style)
+        figures.append(shown)
+    over_one_x(figures, labels[0], across)
+    return figures
 
 
 def over_one_x(figures: Sequence[figure], x_label: str, across: int = 1) -> None:

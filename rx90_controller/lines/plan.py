@@ -28,6 +28,7 @@ from rx90_controller.lines.postures import Postures
 from rx90_controller.lines.task import TipTask
 from rx90_controller.paths.path import Path
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
+from rx90_controller.trajectory.motion import move_duration
 from rx90_controller.trajectory.spline import interpolate
 
 APPROACH_SPEED = 0.25
@@ -358,11 +359,9 @@ def check_plan(
 
 
 def approach_duration(robot: RobotModel, start: Array, end: Array) -> float:
-    """Return how long a quintic move between two poses, rad, shape (n,), takes, s: up to 15/8 dq/T, 10/√3 dq/T²."""
-    way = np.abs(end - start)
-    by_speed = 15.0 / 8.0 * way / (APPROACH_SPEED * robot.max_velocity)
-    by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * way / APPROACH_ACCELERATION)
-    return float(np.maximum(by_speed, by_acceleration).max())
+    """Return how long a quintic move between two poses, rad, shape (n,), takes, s."""
+    speed = APPROACH_SPEED * robot.max_velocity
+    return move_duration(np.abs(end - start), speed, APPROACH_ACCELERATION)
 
 
 class ApproachedLine(NamedTuple):

@@ -95,16 +95,8 @@ class TipMotion(FileModel):
         branch = DEFAULT_BRANCH
         if posture is not None:
             branch = Branch(posture.shoulder, posture.elbow, posture.wrist)
-        return {
-            "speed": self.speed,
-            "acceleration": self.acceleration,
-            "start_rpy": radians(self.tool_rpy_degrees),
-            "rest_before": self.rest_before,
-            "rest_after": self.rest_after,
-            "branch": branch,
-            "singularity_margin": self.singularity_margin,
-            "start_posture": self.start_posture,
-        }
+        values = {name: getattr(self, name) for name in TipMotion.__annotations__}
+        return values | {"start_rpy": radians(values.pop("tool_rpy_degrees")), "branch": branch}
 
 
 class LineMotion(TipMotion):

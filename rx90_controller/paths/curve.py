@@ -20,6 +20,7 @@ from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import LineError
 from rx90_common.description.kinematics import PathError, decompose, nearest_corner
 from rx90_common.description.rotations import length
+from rx90_controller.trajectory.spline import interpolate
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline, PPoly
@@ -262,21 +263,12 @@ def _blend(before: Piece, after: Piece, zone: float) -> Polynomial:
     from scipy.interpolate import PPoly
 
     ends = (before, np.array([before.length - zone])), (after, np.array([zone]))
-    (p0, t0, k0), (p1, t1, k1) = (
-        [piece.at(at, order)[0] for order in range(3)] for piece, at in ends
-    )
     reach = 2.0 * zone
-    v0 = reach * t0
-    v1 = reach * t1
-    a0 = reach**2 * k0
-    a1 = reach**2 * k1
-    way = p1 - p0 - v0 - 0.5 * a0
-    speed = v1 - v0 - a0
-    bend = a1 - a0
-    c3 = 10.0 * way - 4.0 * speed + 0.5 * bend
-    c4 = -15.0 * way + 7.0 * speed - bend
-    c5 = 6.0 * way - 3.0 * speed + 0.5 * bend
-    return Polynomial(PPoly(np.array([c5, c4, c3, 0.5 * a0, v0, p0])[:, None, :], [0.0, 1.0]))
+    derivatives = [
+        [reach**order * piece.at(at, order)[0] for piece, at in ends] for order in range(3)
+    ]
+    quintic = interpolate(np.array([0.0, 1.0]), *map(np.array, derivatives))
+    return Polynomial(PPoly(quintic.coefficients.swapaxes(0, 1)[::-1], quintic.times))
 
 
 class Curve:
@@ -319,7 +311,7 @@ class Curve:
                 joints.append(at)
             blended = zone
         self.joints = np.array(joints)
-        self.starts = np.concatenate([[0.0], np.cumsum([piece.length for piece in self._pieces])])
+        self.starts = np.append(0.0, np.cumsum([piece.length for piece in self._pieces]))
         self.length = float(self.starts[-1])
         self.joints[-1] = self.length
 

@@ -66,8 +66,8 @@ class LimitedProfile:
         return min(self.acceleration, math.sqrt(max(one.speed for one in self.limits) * self.jerk))
 
     @cached_property
-    def _built(self) -> tuple[PPoly, float]:
-        """Return the distance over the time before the mean, and the time of the mean, s."""
+    def _motion(self) -> PPoly:
+        """Return the distance over the time."""
         from scipy.interpolate import PPoly  # takes a while
 
         steps = (1.0, 2.0) if math.isfinite(self.jerk) else (0.0,)
@@ -80,14 +80,17 @@ class LimitedProfile:
                 phases += self._between(begin, end, mean)
                 phases.append((mean, end, 0.0, 0.0))
             rows = np.array([phase for phase in phases[:-1] if phase[0] > _SHORTEST_PHASE])
-            times = np.concatenate([[0.0], np.cumsum(rows[:, 0])])
-            at = np.concatenate([times, times + mean])
-            steps_of = np.concatenate([[0.0], rows[:, 3], [0.0]])
+            times = np.append(0.0, np.cumsum(rows[:, 0]))
+            if mean == 0.0:
+                return PPoly(np.array([0.5 * rows[:, 3], rows[:, 2], rows[:, 1]]), times)
+            at = np.sort(np.concatenate([times, times + mean]))
+            steps_of = np.pad(rows[:, 3], 1)
             now = steps_of[np.searchsorted(times, at + _SHORTEST_PHASE / 2.0)]
             before = steps_of[np.searchsorted(times, at - mean + _SHORTEST_PHASE / 2.0)]
-            if mean == 0.0 or np.abs(now - before).max() / mean <= self.jerk * (1.0 + 1e-9):
+            jerks = (now - before) / mean
+            if np.abs(jerks).max() <= self.jerk * (1.0 + 1e-9):
                 break
-        return PPoly(np.array([0.5 * rows[:, 3], rows[:, 2], rows[:, 1]]), times), mean
+        return PPoly(jerks[None, :-1], at).antiderivative(3)
 
     def _between(
         self, begin: float, end: float, mean: float
@@ -109,7 +112,7 @@ class LimitedProfile:
             most[rows] = np.minimum(most[rows], one.speed**2)
             most_acceleration[rows] = np.minimum(most_acceleration[rows], one.acceleration)
         ways = np.diff(edges)
-        squares = np.concatenate([[0.0], np.minimum(most[1:], most[:-1]), [0.0]])
+        squares = np.pad(np.minimum(most[1:], most[:-1]), 1)
         gains = 2.0 * most_acceleration * ways
         for k, gain in enumerate(gains):
             squares[k + 1] = min(squares[k + 1], squares[k] + gain)
@@ -134,8 +137,7 @@ class LimitedProfile:
     @property
     def duration(self) -> float:
         """Return the duration from rest to rest, s."""
-        motion, mean = self._built
-        return float(motion.x[-1]) + mean
+        return float(self._motion.x[-1])
 
     @property
     def peak_speed(self) -> float:
@@ -145,48 +147,23 @@ class LimitedProfile:
     @property
     def corners(self) -> Vector:
         """Return the times at which the acceleration jumps, or its slope, s."""
-        motion, mean = self._built
-        times = motion.x if mean == 0.0 else np.sort(np.concatenate([motion.x, motion.x + mean]))
-        distinct = np.concatenate([[True], np.diff(times) > 1e-6])
+        times = self._motion.x
+        distinct = np.append(True, np.diff(times) > 1e-6)
         distinct[-1] = True
         return tuple(times[distinct].tolist())
 
     def sample(self, times: Array) -> PathMotion:
         """Return the motion at `times`, s, shape (n,): at rest before 0 and after the duration."""
-        motion, mean = self._built
-        speed = motion.derivative()
-        whole = motion.antiderivative()
-        end = float(motion.x[-1])
-
-        def at(curve: PPoly, t: Array, past: float) -> Array:
-            inner = curve(np.clip(t, 0.0, end))
-            return np.where(t < 0.0, 0.0, np.where(t > end, past, inner))
-
         t = np.asarray(times, dtype=np.float64)
-        if mean == 0.0:
-            inside = (t >= 0.0) & (t <= end)
-            found = (
-                at(motion, t, self.length),
-                at(speed, t, 0.0),
-                np.where(inside, speed.derivative()(t), 0.0),
-            )
-        else:
-            total = float(whole(end))
-            after = np.maximum(t - end, 0.0), np.maximum(t - mean - end, 0.0)
-            sums = [at(whole, each, total) + self.length * past
-                    for each, past in zip((t, t - mean), after, strict=True)]  # fmt: skip
-            found = (
-                (sums[0] - sums[1]) / mean,
-                (at(motion, t, self.length) - at(motion, t - mean, self.length)) / mean,
-                (at(speed, t, 0.0) - at(speed, t - mean, 0.0)) / mean,
-            )
-        over = t >= end + mean
-        before = t <= 0.0
-        distance = np.where(
-            over, self.length, np.where(before, 0.0, np.clip(found[0], 0.0, self.length))
-        )
-        still = over | before if mean > 0.0 else (t > end) | (t < 0.0)
-        return PathMotion(distance, np.where(still, 0.0, found[1]), np.where(still, 0.0, found[2]))
+        over = t >= self.duration
+        begun = t > 0.0
+        inside = np.clip(t, 0.0, self.duration)
+        distance = np.clip(self._motion(inside), 0.0, self.length)
+        distance = np.where(over, self.length, np.where(begun, distance, 0.0))
+        # A trapezoid has its accelerations at both ends, too.
+        moves = begun & ~over if math.isfinite(self.jerk) else inside == t
+        rates = (np.where(moves, self._motion(inside, order), 0.0) for order in (1, 2))
+        return PathMotion(distance, *rates)
 
     def speed_at(self, distance: Array) -> Array:
         """Return the speed in m/s at `distance` m from the start, shape (n,)."""

@@ -13,8 +13,6 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.rates import NANOSECONDS
 from rx90_controller.trajectory import TrajectoryPoints
 
-_QUINTIC_PEAK_SPEED = 15.0 / 8.0  # of a rest-to-rest quintic, times mean speed
-_QUINTIC_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)  # times distance over time squared
 _RAMP_PEAK_ACCELERATION = 1.5  # of a quintic from rest to a velocity, times the mean acceleration
 _KNOT_ANGLE = 0.55  # of the fastest sine between knots, rad: quintics between exact knots miss it by 1e-6 of its size
 _LONGEST_KNOT_PERIOD = 0.02  # s, for the fades
@@ -46,17 +44,13 @@ class Motion:
         """Stay for `duration`, s."""
         self._add(duration, self.pose)
 
-    def move(self, target: ArrayLike, speed: ArrayLike, acceleration: float) -> None:
+    def move(self, target: ArrayLike, speed: Array | float, acceleration: float) -> None:
         """Go to `target`, rad, on a straight line in the joints, within speeds, rad/s, and an acceleration, rad/s²."""
         goal = np.array(target, dtype=np.float64)
         distance = np.abs(goal - self.pose)
         if not distance.any():
             return
-        by_speed = float(np.max(distance / np.asarray(speed))) * _QUINTIC_PEAK_SPEED
-        by_acceleration = math.sqrt(
-            float(distance.max()) * _QUINTIC_PEAK_ACCELERATION / acceleration
-        )
-        self._add(_on_tick(max(by_speed, by_acceleration)), goal)
+        self._add(_on_tick(move_duration(distance, speed, acceleration)), goal)
 
     def sweep(self, direction: Array, speed: float, plateau: float, acceleration: float) -> None:
         """Move along `direction`, shape (n,), with `speed`, rad/s, constant for `plateau`, s.
@@ -134,6 +128,13 @@ class Motion:
         self._knots.append(
             (self.duration, pose, self._rest if velocity is None else velocity, self._rest)
         )
+
+
+def move_duration(way: Array, speed: Array | float, acceleration: float) -> float:
+    """Return how long quintics from rest to rest over ways, rad, take, s: up to 15/8 way/T, 10/√3 way/T²."""
+    by_speed = 15.0 / 8.0 * way / speed
+    by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * way / acceleration)
+    return float(np.maximum(by_speed, by_acceleration).max())
 
 
 def _on_tick(duration: float) -> float:

@@ -83,7 +83,7 @@ class JointLimits:
                 f"{self.acceleration.tolist()}; accepted: lower < upper, velocity > 0, acceleration > 0"
             )
 
-    def _quantities(self, lower: Array, upper: Array) -> tuple[_Quantity, _Quantity, _Quantity]:
+    def quantities(self, lower: Array, upper: Array) -> tuple[_Quantity, _Quantity, _Quantity]:
         """Return position, velocity and acceleration with their limits; those of the position are given."""
         v = self.velocity
         a = self.acceleration
@@ -163,7 +163,7 @@ class JointLimits:
         """
         tables = (points.position, points.velocity, points.acceleration)
         for quantity, table in zip(
-            self._quantities(self.lower - allowed, self.upper + allowed), tables, strict=True
+            self.quantities(self.lower - allowed, self.upper + allowed), tables, strict=True
         ):
             if table is not None and (found := quantity.first_outside(table)) is not None:
                 row, joint = found
@@ -220,7 +220,7 @@ class JointLimits:
 
     def _certainly_within(self, spline: Spline) -> bool:
         """Return whether bounds of the spline, and so its set-points and the steps between them, are within limits."""
-        quantities = self._quantities(self.lower, self.upper)
+        quantities = self.quantities(self.lower, self.upper)
         extremes = np.stack(spline.bounds(), axis=1)
         return all(
             each.first_outside(pair) is None
@@ -243,7 +243,7 @@ class JointLimits:
         point = np.minimum(np.searchsorted(knots, times), last)
         # At a knot the derivatives are already those of the way to the next point.
         after = np.minimum(np.searchsorted(knots, times, side="right"), last)
-        position, velocity, acceleration = self._quantities(self.lower - reach, self.upper + reach)
+        position, velocity, acceleration = self.quantities(self.lower - reach, self.upper + reach)
         yield position, q, times, point
         yield velocity, v, times, after
         yield acceleration, a, times, after
@@ -296,7 +296,7 @@ def connect(points: TrajectoryPoints, held: Array, limits: JointLimits) -> Splin
     acceleration = points.acceleration
     later = times[0] > 0
     if later:
-        times = np.concatenate([[0.0], times])
+        times = np.append(0.0, times)
         position = np.vstack([held[0], position])
         velocity = None if velocity is None else np.vstack([held[1], velocity])
         acceleration = None if acceleration is None else np.vstack([held[2], acceleration])
@@ -427,7 +427,7 @@ def straight(
     change = np.diff(speed, axis=0)
     half = (np.abs(change) / (2.0 * limits.acceleration)).max(axis=1, initial=0.0)
     # The ramps at the two ends of each line leave room for each other.
-    ramps = np.concatenate([[begin], half]) + np.concatenate([half, [end]])
+    ramps = np.append(begin, half) + np.append(half, end)
     short = ramps > span * (1.0 + 1e-12)
     if short.any():
         k = int(np.argmax(short))
@@ -517,7 +517,7 @@ def stop(position: Array, velocity: Array, acceleration: Array) -> Spline:
     """
     duration = np.abs(velocity) / acceleration
     rest = position + velocity * duration / 2.0
-    times = np.unique(np.concatenate([[0.0], duration]))
+    times = np.unique(np.append(0.0, duration))
     at = times[:-1, None]
     brake = -np.sign(velocity) * acceleration
     coefficients = np.zeros((len(times) - 1, 6, rest.size))

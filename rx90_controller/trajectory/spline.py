@@ -213,7 +213,7 @@ def _and_rest(spline: Spline) -> Array:
 
 def remainder(spline: Spline, at: float) -> Spline:
     """Return the remainder of a spline from a time, s, on, with times counted from there."""
-    knots = np.concatenate([[at], spline.times[spline.times > at]])
+    knots = np.append(at, spline.times[spline.times > at])
     return Spline(knots - at, _expanded(spline, knots[:-1]), spline.final)
 
 

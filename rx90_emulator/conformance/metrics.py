@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, column_rms
 from rx90_emulator.conformance.case import START, Metric, Record
 from rx90_emulator.loop.line import path_accuracy
 
@@ -23,25 +23,9 @@ def _ending(record: Record, values: Array, seconds: float) -> Array:
     return values[-round(seconds / record.period) :]
 
 
-def _rms(values: Array) -> Array:
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
-
-
-def _torque_off(record: Record) -> Array:
-    return np.asarray(np.isnan(record.torque).sum(axis=0) * record.period)
-
-
-def _error_peak(record: Record) -> Array:
-    return np.asarray(np.abs(_moving(record, record.error)).max(axis=0))
-
-
-def _error_rms(record: Record) -> Array:
-    return _rms(_moving(record, record.error))
-
-
 def _ripple(record: Record) -> Array:
     torque = np.nan_to_num(_moving(record, record.torque))
-    return _rms(
+    return column_rms(
         torque - uniform_filter1d(torque, max(1, round(_RIPPLE_WINDOW / record.period)), axis=0)
     )
 
@@ -65,17 +49,18 @@ def _settling(record: Record) -> Array:
     return np.asarray((until - record.case.end).clip(0.0))
 
 
-def _rest_error(record: Record) -> Array:
-    return np.asarray(np.abs(_ending(record, record.error, _AT_REST).mean(axis=0)))
-
-
-def _hunting(record: Record) -> Array:
-    return np.asarray(np.ptp(_ending(record, record.position, _HUNTED), axis=0))
-
-
-TORQUE_OFF = Metric("torque_off", "s", "time without torque", _torque_off)
+TORQUE_OFF = Metric(
+    "torque_off",
+    "s",
+    "time without torque",
+    lambda record: np.isnan(record.torque).sum(axis=0) * record.period,
+)
 REST_ERROR = Metric(
-    "rest_error", "rad", "what is left of the error in the last 0.1 s", _rest_error, allowance=3e-4
+    "rest_error",
+    "rad",
+    "what is left of the error in the last 0.1 s",
+    lambda record: np.abs(_ending(record, record.error, _AT_REST).mean(axis=0)),
+    allowance=3e-4,
 )
 TRACKING = (
     TORQUE_OFF,
@@ -83,11 +68,18 @@ TRACKING = (
         "tracking_error_peak",
         "rad",
         "largest error of the joint's position",
-        _error_peak,
+        lambda record: np.abs(_moving(record, record.error)).max(axis=0),
         3.0,
         1e-4,
     ),
-    Metric("tracking_error_rms", "rad", "its root mean square", _error_rms, 3.0, 1e-4),
+    Metric(
+        "tracking_error_rms",
+        "rad",
+        "its root mean square",
+        lambda record: column_rms(_moving(record, record.error)),
+        3.0,
+        1e-4,
+    ),
     Metric(
         "torque_ripple", "Nm", "commanded torque less its mean over 20 ms, RMS", _ripple, 3.0, 0.2
     ),
@@ -113,6 +105,10 @@ REST = (
     *TRACKING,
     REST_ERROR,
     Metric(
-        "hunting", "rad", "motion at rest in the last 5 s, peak to peak", _hunting, allowance=1e-4
+        "hunting",
+        "rad",
+        "motion at rest in the last 5 s, peak to peak",
+        lambda record: np.ptp(_ending(record, record.position, _HUNTED), axis=0),
+        allowance=1e-4,
     ),
 )

@@ -12,7 +12,8 @@ from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.kinematics import forward, polyline_error
 from rx90_controller.lines.plan import LinePlan
-from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.learned_motion import required_setpoints
 from rx90_emulator.loop.setup import Setup
 
 _AT_REST_STEP = 1e-9  # m from one set-point to the next, up to which the tip is at rest
@@ -58,10 +59,7 @@ class TrajectoryPath:
                 f"the path error counts from {begin:g} to {end:g} s; accepted: a part of the trajectory, from 0 to "
                 f"{last:g} s"
             )
-        generator = TrajectoryGenerator(
-            setup.controller.limits(setup.robot), period, points.position[0]
-        )
-        setpoints = generator.setpoints(0, generator.accept(points, 0, None).end)
+        setpoints = required_setpoints(setup, points)
         times = np.arange(len(setpoints)) * period
         tip = forward(setup.robot.chain, setpoints[:, 0]).position
         path = cls(points, counted, setpoints, tip, (times >= begin) & (times <= end), period)

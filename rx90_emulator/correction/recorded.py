@@ -81,7 +81,7 @@ def laid_under(
     together = sum(
         fftconvolve(record[:, k], motion[::-1, k], "valid") for k in range(record.shape[1])
     )
-    squares = np.concatenate([[0.0], np.cumsum((record**2).sum(axis=1))])
+    squares = np.append(0.0, np.cumsum((record**2).sum(axis=1)))
     between = (motion**2).sum() + squares[count:] - squares[:-count] - 2.0 * together
     best = int(np.argmin(between))
     shift = grid[best]

@@ -100,22 +100,17 @@ class RigidArm:
         turns = _checked("coupling", coupling, np.eye(len(names)))
         if abs(np.linalg.det(turns)) < 1e-9:
             raise IdentificationError(f"coupling: {turns.tolist()}; accepted: an invertible matrix")
-        rotor = (
-            turns.T
-            @ np.diag(_checked("rotor_inertia", rotor_inertia, np.zeros(len(names))))
-            @ turns
-        )
-        springs = np.zeros(len(everything))
-        springs[place] = _checked("spring", spring, np.zeros(len(names)))
         # Joints that follow turn alone, and no element acts on them.
+        chosen = np.eye(len(everything))[place]
+        motors = turns @ chosen
         all_turns = np.eye(len(everything))
-        all_turns[np.ix_(place, place)] = turns
-        rotors = np.zeros_like(all_turns)
-        rotors[np.ix_(place, place)] = rotor
-        together = [row for row in turns if np.count_nonzero(row) > 1]
-        matrix = np.zeros((len(names) + len(together), len(everything)))
-        matrix[:, place] = np.vstack([np.eye(len(names)), *together])
-        elements = (*names, *(sum_name(names, row) for row in together))
+        all_turns[place] = motors
+        inertia = _checked("rotor_inertia", rotor_inertia, np.zeros(len(names)))
+        rotors = motors.T @ np.diag(inertia) @ motors
+        springs = _checked("spring", spring, np.zeros(len(names))) @ chosen
+        together = [row for row in motors if np.count_nonzero(row) > 1]
+        matrix = np.vstack([chosen, *together])
+        elements = (*names, *(sum_name(everything, row) for row in together))
         return cls(everything, elements, matrix, model, rotors, springs, all_turns)
 
     @property

@@ -38,6 +38,8 @@ from scipy.optimize import least_squares
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.robot import joint_of
+from rx90_common.description.urdf import bodies as described_bodies
+from rx90_common.description.urdf import placements
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.fitted import FittedArm
 from rx90_emulator.identification.options import RobotOptions
@@ -54,30 +56,15 @@ def inertial_parameters(pseudo: Array) -> Array:
 
     They are about the origin of the frame, and linear in the pseudo-inertias.
     """
-    inertia = _other(pseudo[..., :3, :3], 1.0)[..., _MOMENTS[0], _MOMENTS[1]]
+    spread = pseudo[..., :3, :3]
+    trace = np.trace(spread, axis1=-2, axis2=-1)[..., None, None]
+    inertia = (trace * np.eye(3) - spread)[..., _MOMENTS[0], _MOMENTS[1]]
     return np.concatenate([pseudo[..., 3, 3][..., None], pseudo[..., :3, 3], inertia], axis=-1)
 
 
-def _other(matrix: Array, share: float) -> Array:
-    """Return share tr(M) - M: S of an inertia for a share of 1/2, the inertia of S for 1."""
-    trace = np.trace(matrix, axis1=-2, axis2=-1)
-    return np.asarray(share * trace[..., None, None] * np.eye(3) - matrix)
-
-
-def _about_center(mass: float, center: Array, inertia: Array) -> Array:
-    """Return P, shape (4, 4), of a mass with its centre, shape (3,), and inertia about it, shape (3, 3)."""
-    place = np.append(center, 1.0)
-    pseudo = mass * np.outer(place, place)
-    pseudo[:3, :3] += _other(inertia, 0.5)
-    return pseudo
-
-
-def central(pseudo: Array) -> tuple[float, Array, Array]:
-    """Return mass, centre of mass (3,) and inertia about it (3, 3) of a positive definite P, shape (4, 4)."""
-    mass = float(pseudo[3, 3])
-    center = pseudo[:3, 3] / mass
-    spread = pseudo[:3, :3] - mass * np.outer(center, center)
-    return mass, center, _other(0.5 * (spread + spread.T), 1.0)
+def body_of(pseudo: Array) -> pin.Inertia:
+    """Return the body with a positive definite P, shape (4, 4)."""
+    return pin.Inertia.FromDynamicParameters(inertial_parameters(pseudo))
 
 
 def is_body(pseudo: Array) -> bool:
@@ -105,9 +92,6 @@ class MovingBody:
     pseudo: Array
 
 
-_URDF_MOMENTS = ("ixx", "ixy", "ixz", "ixy", "iyy", "iyz", "ixz", "iyz", "izz")
-
-
 def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], Array]:
     """Return the links that move, and the frame farthest from each joint that moves with it, m, shape (n, 3).
 
@@ -116,11 +100,8 @@ def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], A
     Each joint's own link comes before those that are fixed to it. The farthest frame may be that of the next joint.
     """
     root = ET.fromstring(urdf)
-    own = {
-        str(one.get("name")): child.get("link")
-        for one in root.iter("joint")
-        if (child := one.find("child")) is not None
-    }
+    own = {place.name: place.child for place in placements(root)}
+    described = {body.link: body for body in described_bodies(root)}
     model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
     fixed_joints = [k for k in range(1, model.njoints) if model.names[k] not in joints]
     model = pin.buildReducedModel(model, fixed_joints, pin.neutral(model))
@@ -129,42 +110,25 @@ def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], A
     places = list(zip(model.parents, model.jointPlacements, strict=True))
     for element in root.findall("link"):
         frame = model.frames[model.getFrameId(element.get("name", ""), pin.FrameType.BODY)]
-        inertial = element.find("inertial")
         joint = joint_of(frame)
         places.append((joint, frame.placement))
         if joint:
+            in_joint = frame.placement.homogeneous
             pseudo = np.zeros((4, 4))
-            if inertial is not None:
-                mass = inertial.find("mass")
-                inertia = inertial.find("inertia")
-                weight = 0.0 if mass is None else float(mass.get("value", "0"))
-                moments = [
-                    0.0 if inertia is None else float(inertia.get(key, "0"))
-                    for key in _URDF_MOMENTS
-                ]
-                to_joint = frame.placement.homogeneous @ _origin(inertial)
-                pseudo = (
-                    to_joint
-                    @ _about_center(weight, np.zeros(3), np.reshape(moments, (3, 3)))
-                    @ to_joint.T
-                )
-            bodies.append(
-                MovingBody(frame.name, number[joint], frame.placement.homogeneous, pseudo)
-            )
+            body = described.get(frame.name)
+            if body is not None:
+                origin = pin.SE3(pin.rpy.rpyToMatrix(*body.rpy), np.array(body.xyz))
+                to_joint = in_joint @ origin.homogeneous
+                xx, yy, zz, xy, xz, yz = body.inertia
+                numbers = np.array([body.mass, 0.0, 0.0, 0.0, xx, xy, yy, xz, yz, zz])
+                about_center = pin.PseudoInertia.FromDynamicParameters(numbers).toMatrix()
+                pseudo = to_joint @ about_center @ to_joint.T
+            bodies.append(MovingBody(frame.name, number[joint], in_joint, pseudo))
     ends = np.zeros((len(joints), 3))
     for joint, place in places:
         if joint and np.linalg.norm(place.translation) > np.linalg.norm(ends[number[joint]]):
             ends[number[joint]] = place.translation
     return sorted(bodies, key=lambda body: (body.joint, body.link != own[joints[body.joint]])), ends
-
-
-def _origin(parent: ET.Element) -> Array:
-    """Return the homogeneous transform of an <origin>, shape (4, 4)."""
-    origin = parent.find("origin")
-    given = {} if origin is None else origin.attrib
-    xyz = [float(word) for word in given.get("xyz", "0 0 0").split()]
-    rpy = [float(word) for word in given.get("rpy", "0 0 0").split()]
-    return np.asarray(pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz)).homogeneous)
 
 
 _DENSITY = 1500.0  # kg/m^3: castings with motors and cavities
@@ -252,7 +216,7 @@ class InertialPrior:
         kept = {body.link for body in bodies}
         dropped = tuple(body.link for body in free if body.pseudo.any() and body.link not in kept)
         initial = np.zeros(len(names)) if rotors is None else np.array(rotors, dtype=np.float64)
-        unknown = (initial == 0.0) if rotors is not None else np.zeros(len(initial), dtype=np.bool_)
+        unknown = (initial == 0.0) & (rotors is not None)
         guesses = np.append(np.array(guessed, dtype=bool), unknown)
         for i in np.flatnonzero(unknown).tolist():
             total = np.sum(
@@ -289,7 +253,10 @@ def _by_geometry(body: MovingBody, ends: Array) -> MovingBody:
     along = end / length if length > 0.0 else np.zeros(3)
     mass = _DENSITY * 4.0 / 3.0 * np.pi * half * radius**2
     spread = mass / 5.0 * (radius**2 * np.eye(3) + (half**2 - radius**2) * np.outer(along, along))
-    return replace(body, pseudo=_about_center(mass, 0.5 * end, _other(spread, 1.0)))
+    place = np.append(0.5 * end, 1.0)
+    pseudo = mass * np.outer(place, place)
+    pseudo[:3, :3] += spread
+    return replace(body, pseudo=pseudo)
 
 
 GUESSED = 0.1
@@ -491,10 +458,9 @@ def consistent_inertias(
     squares = float(np.sum((whitened @ bodies.parameters(numbers) - target) ** 2))
     for decade in range(max(0, math.ceil(math.log10(max(squares, 1.0) / weight))), -1, -1):
         near = bodies.prior_weight[moved] * math.sqrt(weight * 10.0**decade)
-        start = numbers[moved]
         result = least_squares(
             residual,
-            start,
+            numbers[moved],
             slopes,
             method="lm",
             x_scale="jac",

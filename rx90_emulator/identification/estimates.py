@@ -12,6 +12,9 @@ import numpy as np
 from rx90_common.base.arrays import Array, Mask, rms
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import quoted
+from rx90_common.estimation.deviations import Deviations
+from rx90_common.estimation.elements import places
+from rx90_common.estimation.fit import Fit
 from rx90_common.estimation.law import Law, Part
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import LUGRE_PASSIVITY
@@ -184,6 +187,14 @@ class FittedLaw(NamedTuple):
             estimate = ParameterEstimate(values[name], deviation)
             estimates[name] = ParameterEstimate.unknown(reason) if reason else estimate
         return estimates
+
+
+def fitted_laws(laws: Sequence[Law], fit: Fit, spread: Deviations) -> list[FittedLaw]:
+    """Return the fitted law of each element, whose parameters stand one element after the other."""
+    return [
+        FittedLaw(law, fit.x[place], spread.covariance[place, place], spread.determined[place])
+        for law, place in zip(laws, places(laws), strict=True)
+    ]
 
 
 def least_coulomb(

@@ -58,7 +58,6 @@ from rx90_emulator.identification.validation.prediction import (
     Validation,
     drive_torque,
     filtered_runs,
-    recorded_equations,
     validation_bandwidths,
     written_torque,
 )
@@ -112,38 +111,33 @@ def identify_excitation(
             f"--no-rotors {given}; accepted: with --urdf, for torques measured behind the gears"
         )
     source, records = _recorded(robot, bags, validation, progress, currents=True)
+    used = records["excitation"]
     progress("filters and equations")
-    bandwidths = Bandwidths.of(records["excitation"], bandwidth)
-    problem = recorded_equations(records["excitation"], source, bandwidths, rotors=rotors)
+    bandwidths = Bandwidths.of(used, bandwidth)
+    runs = filtered_runs(used, source, bandwidths)
+    problem = ExcitationProblem.of(source.arm, runs, rotors=rotors)
     notes = (
-        *recording_notes(records["excitation"], bandwidths),
+        *recording_notes(used, bandwidths),
         *log_warnings(problem, source.held),
     )
     stated_gears = replace(
         source.options, gear=_gears(source.layout(Path(bags[0]), fast=True), source)
     )
-    sanity = alarms(
-        source.arm, Recorded.of(records["excitation"], source.arm), stated_gears, source.zero
-    )
+    sanity = alarms(source.arm, Recorded.of(used, source.arm), stated_gears, source.zero)
     progress("friction")
     fitted = fit_arm(problem, parts, fixed=model is not None)
-    used = tuple(record.bag for record in records["excitation"])
     progress("consistent inertias")
     consistency = make_consistent(problem, fitted, source, robot)
     arm = written_arm(problem, consistency)
     bodies = moved_bodies(source.arm, arm)
-    motion = Bandwidths.of_motion(records["excitation"])
-    compared = motion._replace(
-        position=bandwidths.position, torque=min(motion.torque, bandwidths.torque)
-    )
-    stated = problem.other(
-        [run for record in records["excitation"] for run in filtered_runs(record, source, compared)]
-    )
+    motion = Bandwidths.of_motion(used)
+    compared = Bandwidths(bandwidths.position, min(motion.torque, bandwidths.torque))
+    stated = problem.other(filtered_runs(used, source, compared))
     result = ExcitationIdentification(
         robot=source,
         problem=problem,
         fitted=fitted,
-        elements=identified_elements(fitted, source.fallback, used),
+        elements=identified_elements(fitted, source.fallback, tuple(record.bag for record in used)),
         base=base_parameters(problem, fitted, consistency),
         consistency=consistency,
         compared=compared,
@@ -192,7 +186,7 @@ def _validation(
 ) -> Validation:
     """Return the verdict of a run that the identification did not use, all predictions on the same rows."""
     bandwidths = validation_bandwidths(record, result.compared)
-    unseen = result.problem.other(filtered_runs(record, result.robot, bandwidths))
+    unseen = result.problem.other(filtered_runs([record], result.robot, bandwidths))
 
     def torques(predicted: Array) -> RunTorques:
         return run_torques(unseen, predicted)[0]
@@ -281,17 +275,15 @@ def _motion(
     arm: RigidArm, position: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike
 ) -> tuple[Array, Array, Array]:
     """Return a motion as arrays, after a check of their shapes."""
-    motion = (
-        np.asarray(position, np.float64),
-        np.asarray(velocity, np.float64),
-        np.asarray(acceleration, np.float64),
-    )
-    for name, values in zip(("position", "velocity", "acceleration"), motion, strict=True):
-        if values.ndim != 2 or values.shape != (len(motion[0]), len(arm.names)):
+    q = np.asarray(position, np.float64)
+    v = np.asarray(velocity, np.float64)
+    a = np.asarray(acceleration, np.float64)
+    for name, values in (("position", q), ("velocity", v), ("acceleration", a)):
+        if values.ndim != 2 or values.shape != (len(q), len(arm.names)):
             raise IdentificationError(
                 f"{name} has shape {values.shape}; accepted: (m, {len(arm.names)}), all the same"
             )
-    return motion
+    return q, v, a
 
 
 def excitation_problem(
@@ -315,7 +307,8 @@ def excitation_problem(
         raise IdentificationError("no excitation run; accepted: one or more")
     source, by_use = _recorded(robot, bags)
     records = by_use["excitation"]
-    return recorded_equations(records, source, bandwidths or Bandwidths.of(records))
+    runs = filtered_runs(records, source, bandwidths or Bandwidths.of(records))
+    return ExcitationProblem.of(source.arm, runs)
 
 
 def predict_torque(

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.arrays import Array
 from rx90_common.estimation.choose import Choice, choose, without_bound_parts
-from rx90_common.estimation.deviations import law_deviations
-from rx90_common.estimation.elements import fit_laws, places
+from rx90_common.estimation.deviations import Deviations, law_deviations
+from rx90_common.estimation.elements import fit_laws
 from rx90_common.estimation.fit import Fit
 from rx90_common.estimation.law import Law, Part
 from rx90_common.friction import FrictionElement
@@ -25,6 +25,7 @@ from rx90_emulator.identification.estimates import (
     FittedLaw,
     IdentifiedElement,
     ParameterEstimate,
+    fitted_laws,
     least_coulomb,
     unknown_estimates,
     with_passive_fading,
@@ -59,15 +60,13 @@ PART_OF = {
 
 
 @dataclass(frozen=True, eq=False)
-class FittedArm:
-    """A fit of all elements' laws and the base parameters.
+class FittedArm(Deviations):
+    """A fit of all elements' laws and the base parameters, with their deviations.
 
     Attributes:
         arm: whose elements these are.
         laws: of the elements.
         fit: of friction, q parameters, and of b base parameters.
-        covariance: of these q + b, shape (q + b, q + b); 0 for what is not determined.
-        determined: which of them the rows determine, shape (q + b,).
         tried: parts of the friction that the runs were asked for.
         base_names: of the base parameters.
         speeds: least and greatest speed with data of each element, rad/s; 0 for one that rests.
@@ -76,8 +75,6 @@ class FittedArm:
     arm: RigidArm
     laws: tuple[Law, ...]
     fit: Fit
-    covariance: Array
-    determined: Mask
     tried: tuple[Part, ...]
     base_names: tuple[str, ...]
     speeds: tuple[tuple[float, float], ...]
@@ -96,27 +93,21 @@ class FittedArm:
         """Return the fitted values, shapes by their logarithms, shape (q + b,)."""
         return np.concatenate([self.fit.x, self.fit.linear])
 
-    @property
-    def deviation(self) -> Array:
-        """Return standard deviations, infinite where not determined, shape (q + b,)."""
-        return np.where(self.determined, np.sqrt(np.diag(self.covariance)), np.inf)
-
     def predicted(self, problem: ExcitationProblem) -> Array:
         """Return the torque of the rows of runs of the same arm, Nm, shape (r,)."""
         friction = problem.friction_rows().problem(self.laws).model(self.fit.x)[0]
         return friction + problem.regressor @ self.fit.linear
 
-    def element(self, number: int) -> FittedLaw:
-        """Return the fitted law of an element."""
-        place = places(self.laws)[number]
-        covariance = self.covariance[place, place]
-        return FittedLaw(self.laws[number], self.fit.x[place], covariance, self.determined[place])
+    @property
+    def elements(self) -> list[FittedLaw]:
+        """Return the fitted law of each element."""
+        return fitted_laws(self.laws, self.fit, self)
 
     def estimates(self, number: int) -> Estimates:
         """Return the estimates of an element by the names of FrictionElement; shared by both directions."""
         if self.speeds[number][1] == 0.0:
             return unknown_estimates(PARAMETERS, "at rest in all runs")
-        estimates = self.element(number).estimates(_doubt)
+        estimates = self.elements[number].estimates(_doubt)
         for name in PARAMETERS:
             if name not in estimates:
                 estimates[name] = ParameterEstimate.unknown(self._missing(number, PART_OF[name]))
@@ -175,8 +166,7 @@ def fit_arm(
         arm=problem.arm,
         laws=chosen.laws,
         fit=chosen.fit,
-        covariance=known.covariance,
-        determined=known.determined,
+        **vars(known),
         tried=tuple(tried),
         base_names=problem.names,
         speeds=tuple((element.speeds.low, element.speeds.high) for element in rows.elements),
@@ -216,8 +206,7 @@ def _element(
     fitted: FittedArm, number: int, other: FrictionElement | None, least: float
 ) -> FrictionElement:
     """Return an element; `other`, or the `least` Coulomb torque and assumed bristles, replace what is missing."""
-    law = fitted.laws[number]
-    x = fitted.fit.x[places(fitted.laws)[number]]
+    law, x, *_ = fitted.elements[number]
     if fitted.speeds[number][1] == 0.0:
         if other is not None:
             return other

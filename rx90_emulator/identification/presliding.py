@@ -27,6 +27,7 @@ from rx90_emulator.identification.rows.micro_oscillations import (
     INERTIA_SD,
     BristleRows,
     MicroMotion,
+    amplitudes,
     find_micro_motions,
 )
 
@@ -149,12 +150,8 @@ class _GroupFit:
         """Return the amplitude of each bristle's torque over its Coulomb torque, shape (M, e)."""
         coulomb = [element.tau_c.positive for element in self.rows.elements]
         motions = range(len(self.rows.motions))
-        along = [self.rows.deflection_torque(self.fit.x, number) for number in motions]
-        spans = [
-            np.percentile(torque, 99.0, axis=0) - np.percentile(torque, 1.0, axis=0)
-            for torque in along
-        ]
-        return 0.5 * np.array(spans) / coulomb
+        along = [amplitudes(self.rows.deflection_torque(self.fit.x, k)) for k in motions]
+        return np.array(along) / coulomb
 
     def estimates(self, arm: RigidArm, group: JointGroup) -> list[Estimates]:
         """Return the elements' estimates."""

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rx90_common.base.arrays import Array, rms
+from rx90_common.base.arrays import Array, column_rms, rms
 from rx90_common.friction import FrictionSet
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.bodies import ConsistentInertias
@@ -206,7 +206,7 @@ class ExcitationIdentification(Identification):
             if high > 0.0:
                 speed = np.linspace(low, high, _LINE_POINTS)
                 velocity = np.concatenate([-speed[::-1], speed])
-                line = np.stack([velocity, *self.fitted.element(number).curve(velocity)])
+                line = np.stack([velocity, *self.fitted.elements[number].curve(velocity)])
                 curves[name] = FrictionCurve(nothing, nothing, nothing, nothing, line)
         return curves
 
@@ -299,7 +299,7 @@ def base_parameters(
     first = len(fitted.fit.x)
     deviation = fitted.deviation[first:]
     size = rms(problem.torque)
-    effect = deviation * np.sqrt(np.mean(problem.regressor**2, axis=0))
+    effect = deviation * column_rms(problem.regressor)
     parameters = []
     for k, (name, group) in enumerate(zip(problem.names, problem.base.groups, strict=True)):
         estimate = ParameterEstimate(float(fitted.fit.linear[k]), float(deviation[k]))

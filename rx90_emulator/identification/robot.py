@@ -340,10 +340,8 @@ class RecordedRobot:
             setup = Setup.load(files)
             arm = RigidArm.from_setup(setup)
             _check_sizes(options, len(arm.names))
-            return _with_fallback(
-                cls(arm, setup, options, mapping=mapping),
-                options.fallback or files.text("friction"),
-            )
+            fallback, source = _fallback(arm, options.fallback or files.text("friction"))
+            return cls(arm, setup, options, fallback, source, mapping)
         urdf = Path(options.urdf)
         options = _of_joints(options)
         arm = RigidArm.from_urdf(urdf, options.joints, massless=massless)
@@ -360,9 +358,8 @@ class RecordedRobot:
         arm = RigidArm.from_urdf(
             urdf, options.joints, *drives, massless=massless, followed=followed
         )
-        return _with_fallback(
-            cls(arm, None, options, mapping=mapping, held=held), options.fallback or "none"
-        )
+        fallback, source = _fallback(arm, options.fallback or "none")
+        return cls(arm, None, options, fallback, source, mapping, held)
 
     @property
     def zero(self) -> Array | None:
@@ -378,11 +375,6 @@ class RecordedRobot:
     def followed(self) -> tuple[str, ...]:
         """Return the joints that are not identified and follow the logs."""
         return tuple(np.array(self.arm.names)[~self.arm.identified].tolist())
-
-    @property
-    def plant_period(self) -> float | None:
-        """Return the tick of this project's plant, s; None for another robot."""
-        return None if self.setup is None else self.setup.rates.period
 
     def layout(self, bag: Path, *, fast: bool) -> BagLayout:
         """Return the layout of a bag: the motors' states if the rate matters and the bag contains them."""
@@ -401,13 +393,14 @@ class RecordedRobot:
         return arm_layout(topic, self.arm.names, self.options, lambda: setup.drives, self.mapping)
 
 
-def _with_fallback(robot: RecordedRobot, name: str) -> RecordedRobot:
-    """Return a robot with the elements of a friction file, or of none."""
+def _fallback(
+    arm: RigidArm, name: str
+) -> tuple[tuple[FrictionElement, ...], str] | tuple[None, None]:
+    """Return an arm's elements by a friction file, and its name; nothing for none."""
     if name == "none":
-        return robot
+        return None, None
     path = resolve_config(name)
-    elements = robot.arm.element_names
-    fallback = FrictionFile.read(path).select(elements, path)
-    named = dict(zip(elements, fallback, strict=True))
+    elements = FrictionFile.read(path).select(arm.element_names, path)
+    named = dict(zip(arm.element_names, elements, strict=True))
     refuse_parts(named, "an identification with it as --fallback", f"{name}: elements.")
-    return replace(robot, fallback=fallback, fallback_name=name)
+    return elements, name

@@ -45,17 +45,15 @@ class Recorded:
 
     Attributes:
         motion: position, velocity and acceleration, rad and s, shape (3, m, n).
-        torque: Nm, shape (m, n).
+        later: the torque that was recorded later by each of LAGS, or at once alone, Nm, shape (l, m, n).
         used: where no friction element that acts on the joint rests, shape (m, n).
         block: number of the stretch within which errors are correlated, shape (m,).
-        later: the torque that was recorded later by each of LAGS, Nm, shape (l, m, n); None for plateaus.
     """
 
     motion: Array
-    torque: Array
+    later: Array
     used: Mask
     block: Index
-    later: Array | None = None
 
     @classmethod
     def of(cls, records: Sequence[JointRecord], arm: RigidArm) -> Recorded:
@@ -74,7 +72,7 @@ class Recorded:
         slow = (np.abs(velocity) < np.minimum(_SLOW_SPEED, 0.1 * usual)) | ~moving(velocity)
         used = ~(slow @ (arm.element_matrix != 0.0)) & arm.identified
         block = (np.arange(len(used)) * step / _BLOCK_S).astype(np.intp)
-        return cls(motion, later[len(LAGS) // 2], used, block, later)
+        return cls(motion, later, used, block)
 
 
 def _filtered(record: JointRecord, step: float) -> tuple[Array, Array]:
@@ -220,9 +218,7 @@ class _Trials:
         self._turns = factors[0][:, None] * arm.coupling
         self._push = self._turns.T * factors[1]
         # At each delay that can be tried, of which the middle one is none.
-        self._take(
-            recorded.motion, recorded.torque[None] if recorded.later is None else recorded.later
-        )
+        self._take(recorded.motion, recorded.later)
 
     def _take(self, motion: Array, torques: Array) -> None:
         """Go on with a motion, and with torques at all delays."""
@@ -400,7 +396,9 @@ def torque_scales(arm: RigidArm, recorded: Recorded) -> dict[str, float]:
         rows = np.flatnonzero(recorded.used[:, joint])
         inputs = velocity[rows][:, arm.element_matrix[:, joint] != 0.0]
         beside = np.hstack([np.ones((len(rows), 1)), np.sign(inputs), inputs])
-        both = np.column_stack([described[rows, joint], recorded.torque[rows, joint]])
+        both = np.column_stack(
+            [described[rows, joint], recorded.later[len(recorded.later) // 2, rows, joint]]
+        )
         needed, given = (both - beside @ np.linalg.lstsq(beside, both, rcond=None)[0]).T
         size = needed @ needed + 1e-12
         scale = needed @ given / size

@@ -12,7 +12,7 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.estimation.choose import choose
-from rx90_common.estimation.deviations import Deviations, deviations
+from rx90_common.estimation.deviations import deviations
 from rx90_common.estimation.elements import SteadyRows, fit_laws, fitted_values, places
 from rx90_common.estimation.fit import Fit
 from rx90_common.estimation.law import Law, Part, Speeds
@@ -24,6 +24,7 @@ from rx90_emulator.identification.estimates import (
     FittedLaw,
     FrictionCurve,
     ParameterEstimate,
+    fitted_laws,
     unknown_estimates,
 )
 from rx90_emulator.identification.records import JointRecord
@@ -93,7 +94,7 @@ def identify_sliding(
         name = min(lacking, key=lambda name: lacking[name] == _DOES_NOT_SLIDE)
         raise IdentificationError(f"{where}: {name} {lacking[name]}")
     used = ~(~blocks.sliding[blocks.plateau] @ (arm.element_matrix != 0.0)) & arm.identified
-    recorded = Recorded(blocks.motion, blocks.torque, used, blocks.plateau, blocks.later)
+    recorded = Recorded(blocks.motion, blocks.later, used, blocks.plateau)
     scales = torque_scales(arm, recorded)
     doubts = alarms(arm, recorded, zero=zero, scales=scales)
     rows = sweep_rows(blocks, arm, known)
@@ -103,8 +104,7 @@ def identify_sliding(
     if not many:  # of few rows, those that lie far out are needed to tell the parameters apart
         result = fit_laws(rows.friction, laws, result.weight, fitted_values(laws, result.x))
     spread = deviations(result)
-    where_of = zip(laws, places(laws), strict=True)
-    untold = [_untold(law, result.x[place], spread, place) for law, place in where_of]
+    untold = [_untold(element) for element in fitted_laws(laws, result, spread)]
     if any(untold):
         even = [
             replace(law, balanced=law.balanced or alone)
@@ -118,20 +118,16 @@ def identify_sliding(
             spread = deviations(result)
     estimates = [unknown_estimates(SLIDING, lacking.get(name, "")) for name in names]
     curves: list[FrictionCurve | None] = [None] * len(names)
-    for k, e in enumerate(known.tolist()):
-        place = places(laws)[k]
-        law = laws[k]
-        if result.at_bound[place][
-            : len(law.sizes)
-        ].all():  # all torques are 0; they may be a weight in another pose
+    fitted = fitted_laws(laws, result, spread)
+    for k, (e, element) in enumerate(zip(known.tolist(), fitted, strict=True)):
+        at_bound = result.at_bound[places(laws)[k]]
+        # all torques are 0; they may be a weight in another pose
+        if at_bound[: len(element.law.sizes)].all():
             error = (
                 f"{where}: {names[e]}: the torque does not oppose the motion; accepted: efforts of the sign with which "
                 "the drive moves the joint (check the signs of gears and torque constants)"
             )
             raise IdentificationError("; ".join((error, *doubts)))
-        element = FittedLaw(
-            law, result.x[place], spread.covariance[place, place], spread.determined[place]
-        )
         estimates[e] = _estimates(element, rows.friction.elements[k].speeds)
         curve = _curve(element, rows, k, result)
         curves[e] = curve
@@ -190,14 +186,15 @@ def _laws(rows: SweepRows, shared: Sequence[bool], *, curved: bool) -> tuple[lis
     return list(chosen.laws), chosen.fit
 
 
-def _untold(law: Law, x: Array, spread: Deviations, place: slice) -> bool:
+def _untold(element: FittedLaw) -> bool:
     """Return whether the poses do not tell the difference of an element's two Coulomb torques from a weight."""
+    law = element.law
     if law.balanced:
         return False
     sides = [law.names.index(name) for name in ("tau_c_positive", "tau_c_negative")]
-    covariance = spread.covariance[place, place][np.ix_(sides, sides)]
+    covariance = element.covariance[np.ix_(sides, sides)]
     variance = covariance[0, 0] - 2.0 * covariance[0, 1] + covariance[1, 1]
-    return math.sqrt(max(variance, 0.0)) > _MOST_DIFFERENCE * float(x[sides].sum())
+    return math.sqrt(max(variance, 0.0)) > _MOST_DIFFERENCE * float(element.x[sides].sum())
 
 
 def _shaped(law: Law) -> Law:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.kinematics import tip_position
 from rx90_common.description.urdf import robot_name
@@ -13,19 +14,27 @@ from rx90_controller.trajectory.points import trajectory_identity
 from rx90_emulator.loop.setup import Setup
 
 
+def required_setpoints(setup: Setup, points: TrajectoryPoints) -> Array:
+    """Return set-points 0, 1, ... of an arm along a trajectory, shape (n, 3, joints).
+
+    Raises:
+        TrajectoryError: if the controller would refuse the trajectory.
+    """
+    generator = TrajectoryGenerator(
+        setup.controller.limits(setup.robot), setup.rates.position_period, points.position[0]
+    )
+    return generator.setpoints(0, generator.accept(points, 0, None).end)
+
+
 def learned_motion(setup: Setup, points: TrajectoryPoints) -> LearnedMotion:
     """Return the motion of an arm along a trajectory.
 
     Raises:
         TrajectoryError: if the controller would refuse the trajectory.
     """
-    period = setup.rates.position_period
-    generator = TrajectoryGenerator(
-        setup.controller.limits(setup.robot), period, points.position[0]
-    )
-    setpoints = generator.setpoints(0, generator.accept(points, 0, None).end)
-    tip = tip_position(setup.robot.chain, setpoints[:, 0])
-    speed = float(np.linalg.norm(np.diff(tip, axis=0), axis=1).max()) / period
+    tip = tip_position(setup.robot.chain, required_setpoints(setup, points)[:, 0])
+    steps = np.linalg.norm(np.diff(tip, axis=0), axis=1)
+    speed = float(steps.max()) / setup.rates.position_period
     start = tuple(points.position[0].tolist())
     return LearnedMotion(
         robot_name(setup.robot.urdf),

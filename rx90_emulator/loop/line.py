@@ -267,7 +267,7 @@ def followed_accuracy(
         pose = forward(robot.chain, joint_position[rows])
         near = np.clip(np.searchsorted(when, times[rows], side="right") - 1, 0, len(when) - 1)
         along, across = polyline_error(pose.position, corners, near)
-        way = np.concatenate([[0.0], np.cumsum(length(np.diff(corners, axis=0)))])
+        way = np.append(0.0, np.cumsum(length(np.diff(corners, axis=0))))
         there = interpolated(along, way, setpoints[places])
         turned = turned_by(robot, pose, forward(robot.chain, there))
         found.append(

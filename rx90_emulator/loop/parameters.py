@@ -107,8 +107,7 @@ class Catalogue:
 
     def __init__(self, setup: Setup, task: LineTask | Path | None = None) -> None:
         check_type(setup=(setup, Setup))
-        self._units: dict[Key, str] = {}
-        self._values: dict[Key, Any] = {}
+        self._values: dict[Key, tuple[Any, str]] = {}
         self._leaves: dict[
             Key, tuple[Key, ...]
         ] = {}  # what a path names, each by its place in the models
@@ -126,8 +125,7 @@ class Catalogue:
             self._add(("arm", f"link_{i + 1}", field), getattr(setup.robot.chain, field)[i], unit)
 
     def _add(self, key: Key, value: Any, unit: str, path: Key = ()) -> None:
-        self._units[key] = unit
-        self._values[key] = value
+        self._values[key] = value, unit
         self._leaves[path or key] = (key,)
 
     def _add_model(self, around: Key, model: Model) -> None:
@@ -153,7 +151,7 @@ class Catalogue:
 
     def value(self, leaf: Leaf) -> Value:
         """Return a value as the files have it."""
-        value = self._values[leaf.key]
+        value, _ = self._values[leaf.key]
         if leaf.index:
             return float(np.asarray(value)[leaf.index])
         return value if isinstance(value, bool) else float(value)
@@ -164,7 +162,9 @@ class Catalogue:
             place
             for path, keys in self._leaves.items()
             if len(keys) == 1
-            for place in self._indexed(".".join(path), path, "*" * np.ndim(self._values[keys[0]]))
+            for place in self._indexed(
+                ".".join(path), path, "*" * np.ndim(self._values[keys[0]][0])
+            )
         ]
 
     def places(self, path: str) -> tuple[Place, ...]:
@@ -189,14 +189,15 @@ class Catalogue:
 
     def _indexed(self, path: str, key: Key, indices: Sequence[str]) -> list[Place]:
         keys = self._leaves[key]
-        shape = np.shape(self._values[keys[0]])
+        value, unit = self._values[keys[0]]
+        shape = np.shape(value)
         if len(indices) != len(shape) or any(
             i != "*" and int(i) >= n for i, n in zip(indices, shape, strict=True)
         ):
             raise ConfigError(f"{quoted(path)}: {_accepted_indices('.'.join(key), shape)}")
         chosen = (range(n) if i == "*" else (int(i),) for i, n in zip(indices, shape, strict=True))
         return [
-            Place(Leaf(key, index).path, tuple(Leaf(k, index) for k in keys), self._units[keys[0]])
+            Place(Leaf(key, index).path, tuple(Leaf(k, index) for k in keys), unit)
             for index in itertools.product(*chosen)
         ]
 

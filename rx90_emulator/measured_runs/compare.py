@@ -8,17 +8,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import BPoly, BSpline, make_interp_spline
+from scipy.interpolate import BSpline, CubicHermiteSpline, make_interp_spline
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.topics import absolute
-from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.arrays import Array, Mask, column_rms
 from rx90_common.base.errors import IdentificationError, TrajectoryError, check_type
 from rx90_common.base.quoting import counted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.topics import MOTOR_STATES
+from rx90_controller.trajectory.spline import interpolate
 from rx90_emulator.identification.options import MeasuredLayout, MeasuredTolerances, Progress
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
 from rx90_emulator.identification.robot import (
@@ -98,7 +99,7 @@ class MeasuredComparison:
     @property
     def position_rms(self) -> Array:
         """Return the RMS position difference, rad, shape (n,)."""
-        return np.asarray(np.sqrt(np.mean(self.position_difference**2, axis=0)))
+        return column_rms(self.position_difference)
 
     @property
     def position_worst(self) -> Array:
@@ -280,7 +281,7 @@ def _recorded_setpoints(
         )
     if (steps != setup.rates.period_ns * setup.rates.ratio).any():
         since = (series.stamp_ns - series.stamp_ns[0]) / NANOSECONDS
-        curve = BPoly.from_derivatives(since, np.stack([position, velocity], axis=1))
+        curve = CubicHermiteSpline(since, position, velocity)
         even = np.arange(int(since[-1] / period + 1e-6) + 1) * period
         position = curve(even)
         velocity = curve(even, 1)
@@ -317,9 +318,10 @@ def _with_lead_in(begin: float, values: Array, setup: Setup, source: str) -> _Se
     start_pose = np.clip(position - 0.5 * lead * period * velocity, limits.lower, limits.upper)
     start_pose = np.where(np.abs(velocity) < _REST_SPEED, position, start_pose)
     still = np.stack([start_pose, 0.0 * start_pose, 0.0 * start_pose])
-    curve = BPoly.from_derivatives([0.0, lead * period], np.stack([still, values[0]]))
-    time = np.arange(lead) * period
-    moving = np.stack([curve(time, nu) for nu in range(3)], axis=1)
+    ends = np.stack([still, values[0]], axis=1)
+    moving = interpolate(np.array([0.0, lead * period]), *ends).sample(
+        np.arange(lead, dtype=np.float64) * period
+    )
     whole = np.ascontiguousarray(
         np.concatenate([np.broadcast_to(still, (hold, *still.shape)), moving, values])
     )
@@ -333,11 +335,7 @@ def _beyond(setpoints: _SetPoints, bag: Path, setup: Setup) -> tuple[str, ...]:
     """
     limits = setup.controller.limits(setup.robot)
     found = []
-    for k, (what, unit, low, high) in enumerate((
-        ("position", "rad", limits.lower, limits.upper),
-        ("velocity", "rad/s", -limits.velocity, limits.velocity),
-        ("acceleration", "rad/s^2", -limits.acceleration, limits.acceleration),
-    )):  # fmt: skip
+    for k, (what, unit, low, high, _) in enumerate(limits.quantities(limits.lower, limits.upper)):
         values = setpoints.values[:, k]
         beyond = np.maximum(low - values, values - high) / (high - low)
         row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)

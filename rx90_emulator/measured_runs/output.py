@@ -9,7 +9,7 @@ from bokeh.plotting import figure
 
 from rx90_common.description.robot_files import MODEL_FILES
 from rx90_common.process.files import write_text
-from rx90_common.report.charts import chart, over_one_x
+from rx90_common.report.charts import stacked
 from rx90_common.report.page import render_page
 from rx90_emulator.identification.job import check_targets
 from rx90_emulator.identification.output import plots
@@ -62,14 +62,9 @@ def _position_differences(result: MeasuredComparison) -> list[figure]:
     """Show how far the simulated positions are from the measured ones in the first minute."""
     time = result.torque.time - result.torque.time[0]
     rows = time <= DRAWN_S
-    figures = []
-    for k, name in enumerate(result.names):
-        shown = chart(name, "", "mrad", height=120)
-        difference = 1e3 * result.position_difference[rows, k]
-        shown.line(time[rows], difference, name="simulated - measured", color=DIFFERENCE)
-        figures.append(shown)
-    over_one_x(figures, "time since the comparison began, s", across=2)
-    return figures
+    difference = (1e3 * result.position_difference[rows], {"color": DIFFERENCE})
+    labels = ("time since the comparison began, s", "mrad")
+    return stacked(result.names, labels, time[rows], {"simulated - measured": difference}, across=2)
 
 
 def write_measured(

@@ -54,7 +54,12 @@ class Metric(NamedTuple):
 
 def metrics_of(joints: Sequence[str], elements: Sequence[str]) -> tuple[Metric, ...]:
     """Return the metrics for joints and friction elements, in the order of `measure`."""
-    worst = "largest position error the controller saw"
+    of_joints = (
+        ("tracking_error_worst", "rad", "largest position error the controller saw"),
+        ("tracking_error_rms", "rad", "root mean square position error"),
+        ("velocity_peak", "rad/s", "largest joint speed"),
+        ("drive_torque_peak", "Nm", "largest torque of the drives at the joint"),
+    )
     about = "base ticks of the whole run at the motor's limit"
     return (
         Metric("path_error_worst", "m", "largest distance of the tip from the path"),
@@ -69,16 +74,7 @@ def metrics_of(joints: Sequence[str], elements: Sequence[str]) -> tuple[Metric, 
             "rad",
             "largest angle of the tool from its orientation there, every 10 ticks",
         ),
-        *(Metric(f"tracking_error_worst_{j}", "rad", worst) for j in joints),
-        *(
-            Metric(f"tracking_error_rms_{j}", "rad", "root mean square position error")
-            for j in joints
-        ),
-        *(Metric(f"velocity_peak_{j}", "rad/s", "largest joint speed") for j in joints),
-        *(
-            Metric(f"drive_torque_peak_{j}", "Nm", "largest torque of the drives at the joint")
-            for j in joints
-        ),
+        *(Metric(f"{name}_{j}", unit, what) for name, unit, what in of_joints for j in joints),
         *(
             Metric(f"friction_work_{e}", "J", "work done against the friction element")
             for e in elements

@@ -225,9 +225,9 @@ def make_plan(
 
 
 def _experiment(
-    robot: RobotModel, name: str, kind: Kind, motion: Motion, sweeps: int, home: ArrayLike
+    robot: RobotModel, name: str, kind: Kind, motion: Motion, sweeps: int, options: PlanOptions
 ) -> Experiment:
-    _approach(robot, motion, home)
+    _approach(robot, motion, options.poses.home.position)
     return Experiment(file_stem(name), kind, motion.points(robot.joint_names), sweeps)
 
 
@@ -260,9 +260,7 @@ def _sweeps(
             _approach(robot, motion, start)
             motion.rest(0.1)
             _sweep(motion, direction, speed, options)
-    return _experiment(
-        robot, f"sliding_{name}", Kind.SLIDING, motion, len(speeds), options.poses.home.position
-    )
+    return _experiment(robot, f"sliding_{name}", Kind.SLIDING, motion, len(speeds), options)
 
 
 def _sweep(motion: Motion, direction: Array, speed: float, options: PlanOptions) -> Array:
@@ -292,9 +290,7 @@ def _oscillations(
         )
     motion.rest(0.2)
     count = 2 * len(options.tone_amplitudes)
-    return _experiment(
-        robot, f"presliding_{name}", Kind.PRESLIDING, motion, count, options.poses.home.position
-    )
+    return _experiment(robot, f"presliding_{name}", Kind.PRESLIDING, motion, count, options)
 
 
 def _validation(robot: RobotModel, options: PlanOptions) -> Experiment:
@@ -307,9 +303,7 @@ def _validation(robot: RobotModel, options: PlanOptions) -> Experiment:
         motion.rest(0.15)
     motion.oscillate(np.array(_VALIDATION_WAVE[: len(robot.joint_names)]), [1.0], [0.5], 6.0)
     motion.rest(0.2)
-    return _experiment(
-        robot, "validation", Kind.VALIDATION, motion, len(poses) + 1, options.poses.home.position
-    )
+    return _experiment(robot, "validation", Kind.VALIDATION, motion, len(poses) + 1, options)
 
 
 def _approach(robot: RobotModel, motion: Motion, pose: ArrayLike) -> None:

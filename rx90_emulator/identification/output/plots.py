@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from bokeh.models import ColumnDataSource
 from bokeh.plotting import figure
 
 from rx90_common.base.arrays import Array
-from rx90_common.report.charts import chart, over_one_x
+from rx90_common.report.charts import chart, stacked
 from rx90_common.report.style import COLOURS, GREY, INK
 from rx90_emulator.identification.estimates import FrictionCurve
 from rx90_emulator.identification.validation.prediction import TipDistance
@@ -23,14 +24,6 @@ _SPEED = "speed of the element, rad/s"
 _INTERVAL = 1.96  # standard deviations, 95 %
 
 
-def compared(
-    shown: figure, time: Array, recorded: tuple[str, Array], predicted: tuple[str, Array]
-) -> None:
-    """Draw a recorded and a predicted quantity with their names."""
-    shown.line(time, recorded[1], name=recorded[0], color=_RECORDED, line_width=2.4)
-    shown.line(time, predicted[1], name=predicted[0], color=_PREDICTED, line_width=1.1)
-
-
 def torques(
     torque: TorquePrediction,
     names: Sequence[str],
@@ -40,19 +33,12 @@ def torques(
     """Show the first minute of measured and predicted torques, and their difference where a joint moves."""
     time = torque.time - torque.time[0]
     rows = slice(0, int(np.searchsorted(time, DRAWN_S, side="right")))
-    figures = []
-    for k, name in enumerate(names):
-        shown = chart(name, "", unit, height=120)
-        compared(
-            shown,
-            time[rows],
-            ("measured", torque.recorded[rows, k]),
-            (predicted, torque.predicted[rows, k]),
-        )
-        shown.line(time[rows], torque.difference[rows, k], name="difference", color=DIFFERENCE)
-        figures.append(shown)
-    over_one_x(figures, "time, s")
-    return figures
+    lines: dict[str, tuple[Array, dict[str, Any]]] = {
+        "measured": (torque.recorded[rows], {"color": _RECORDED, "line_width": 2.4}),
+        predicted: (torque.predicted[rows], {"color": _PREDICTED, "line_width": 1.1}),
+        "difference": (torque.difference[rows], {"color": DIFFERENCE}),
+    }
+    return stacked(names, ("time, s", unit), time[rows], lines)
 
 
 def tips(tip: TipDistance) -> figure:

@@ -63,8 +63,7 @@ def identification_page(result: Identification, files: Sequence[str]) -> str:
         result: the identification.
         files: names of the files, and last a sentence about them.
     """
-    names = result.arm.element_names
-    rows = summary.friction_rows(names, result.elements)
+    rows = summary.friction_rows(result)
     return _render(
         "identification.html.j2",
         result.date,
@@ -73,10 +72,10 @@ def identification_page(result: Identification, files: Sequence[str]) -> str:
         kind="excitation" if isinstance(result, ExcitationIdentification) else "sweeps",
         files=files,
         versions=", ".join(f"{name} {number}" for name, number in versions().items()),
-        names=names,
+        names=result.arm.element_names,
         friction=rows,
         columns=summary.friction_columns(rows),
-        lacking=summary.lacking(names, result.elements),
+        lacking=summary.lacking(result),
         checks=_checks(result.validations),
         curves=[
             plots.friction_curve(name, curve, result.unit) for name, curve in result.curves.items()

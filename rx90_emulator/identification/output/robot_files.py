@@ -28,7 +28,7 @@ from rx90_common.description.joint_model import all_joints
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.bodies import central
+from rx90_emulator.identification.bodies import body_of
 from rx90_emulator.identification.estimates import (
     LARGEST,
     IdentifiedElement,
@@ -103,11 +103,11 @@ def edited_urdf(
 
 def _inertial(pseudo: Array) -> ET.Element:
     """Return the element with all digits, so that loading it gives exactly the identified values."""
-    mass, center, inertia = central(pseudo)
+    body = body_of(pseudo)
     inertial = ET.Element("inertial")
-    ET.SubElement(inertial, "origin", xyz=" ".join(map(repr, center.tolist())), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=repr(float(mass)))
-    moments = inertia[np.triu_indices(3)].tolist()
+    ET.SubElement(inertial, "origin", xyz=" ".join(map(repr, body.lever.tolist())), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=repr(float(body.mass)))
+    moments = body.inertia[np.triu_indices(3)].tolist()
     ET.SubElement(
         inertial,
         "inertia",

@@ -9,12 +9,10 @@ import math
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import TypeVar
 
+from rx90_common.base.quoting import aligned
 from rx90_common.estimation.law import Part
 from rx90_common.friction.element import FRICTION_UNITS
-from rx90_emulator.identification.estimates import (
-    IdentifiedElement,
-    ParameterEstimate,
-)
+from rx90_emulator.identification.estimates import ParameterEstimate
 from rx90_emulator.identification.fitted import PART_OF
 from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.result import (
@@ -37,13 +35,7 @@ def number(value: float, form: str = ".3f") -> str:
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     """Return the lines of a table: the first column left-aligned, the others right-aligned."""
-    lines = [head, *rows]
-    widths = [2 + max(map(len, column)) for column in zip(*lines, strict=True)]
-    return [
-        f"{name:<{widths[0]}}"
-        + "".join(f"{cell:>{width}}" for cell, width in zip(cells, widths[1:], strict=True))
-        for name, *cells in lines
-    ]
+    return aligned([head, *rows], right=range(1, len(head)))
 
 
 def identification_summary(result: Identification) -> str:
@@ -66,7 +58,7 @@ def identification_summary(result: Identification) -> str:
 def _friction_lines(result: Identification) -> list[str]:
     """Return the table of identified values, and the reasons for the others."""
     names = result.arm.element_names
-    shown = friction_rows(names, result.elements)
+    shown = friction_rows(result)
     columns = friction_columns(shown)
     rows = [
         [name, *(_with_deviation(estimates.get(column)) for column, _ in columns)]
@@ -80,7 +72,7 @@ def _friction_lines(result: Identification) -> list[str]:
         lines.append(f"{', '.join(nothing)}: nothing identified")
     lines += [
         f"not identified: {parameters} of {whose}: {reason}"
-        for parameters, whose, reason in lacking(names, result.elements)
+        for parameters, whose, reason in lacking(result)
     ]
     return lines
 
@@ -221,14 +213,11 @@ def check_summary(checks: Sequence[Validation]) -> str:
     return in_unit("\n".join(lines), checks[0].torque.source.unit)
 
 
-def friction_rows(
-    names: Sequence[str], elements: Sequence[IdentifiedElement]
-) -> dict[str, dict[str, ParameterEstimate]]:
+def friction_rows(result: Identification) -> dict[str, dict[str, ParameterEstimate]]:
     """Return the estimates of each element of which something is identified, in the order of tables."""
-    rows = {name: _by_column(identified) for name, identified in zip(names, elements, strict=True)}
     return {
         name: row
-        for name, row in rows.items()
+        for name, row in _by_column(result).items()
         if any(estimate.identifiable for estimate in row.values())
     }
 
@@ -249,30 +238,31 @@ def friction_columns(
     ]
 
 
-def _by_column(identified: IdentifiedElement) -> dict[str, ParameterEstimate]:
-    """Return estimates by the names of columns; both signs as one where they are equal."""
-    estimates = identified.estimates
-    columns = {}
-    for name in _REPORTED:
-        if name in estimates:
-            columns[name] = estimates[name]
-        elif f"{name}_positive" in estimates:
-            positive = estimates[f"{name}_positive"]
-            negative = estimates[f"{name}_negative"]
-            if positive == negative:
-                columns[name] = positive
-            else:
-                columns |= {f"{name}+": positive, f"{name}-": negative}
-    return columns
+def _by_column(result: Identification) -> dict[str, dict[str, ParameterEstimate]]:
+    """Return the estimates of each element by the names of columns; both signs as one where they are equal."""
+    rows = {}
+    for element, identified in zip(result.arm.element_names, result.elements, strict=True):
+        estimates = identified.estimates
+        columns = {}
+        for name in _REPORTED:
+            if name in estimates:
+                columns[name] = estimates[name]
+            elif f"{name}_positive" in estimates:
+                positive = estimates[f"{name}_positive"]
+                negative = estimates[f"{name}_negative"]
+                if positive == negative:
+                    columns[name] = positive
+                else:
+                    columns |= {f"{name}+": positive, f"{name}-": negative}
+        rows[element] = columns
+    return rows
 
 
-def lacking(
-    names: Sequence[str], elements: Sequence[IdentifiedElement]
-) -> list[tuple[str, str, str]]:
+def lacking(result: Identification) -> list[tuple[str, str, str]]:
     """Return unidentified parameters, the elements that lack them for the same reason, and the reason."""
     without: dict[tuple[str, str], list[str]] = {}
-    for element, identified in zip(names, elements, strict=True):
-        for name, estimate in _by_column(identified).items():
+    for element, columns in _by_column(result).items():
+        for name, estimate in columns.items():
             if not estimate.identifiable:
                 without.setdefault((name, estimate.reason), []).append(element)
     groups: dict[tuple[str, str], list[str]] = {}

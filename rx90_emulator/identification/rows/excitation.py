@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import correlate
 
-from rx90_common.base.arrays import Array, Index, Mask, rms
+from rx90_common.base.arrays import Array, Index, Mask, column_rms, rms
 from rx90_common.base.errors import IdentificationError
 from rx90_common.estimation.elements import FrictionRows
 from rx90_common.estimation.law import Law, Part, Speeds
@@ -25,9 +25,9 @@ from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.records import stretches
 from rx90_emulator.identification.rows.filtering import (
     LEAST_SPEED,
-    MOVING,
     USUAL_SPEED,
     FilteredRun,
+    moving_in_any,
 )
 from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
 
@@ -63,8 +63,6 @@ class ExcitationProblem:
         joint: number of each row's joint, shape (r,).
         place: index of each row among the run's filtered samples, shape (r,).
         reversal: rows at which an element that acts on the joint passes through rest, shape (r,).
-        torque: recorded torque, filtered, Nm, shape (r,).
-        regressor: filtered columns of the b base parameters, shape (r, b).
     """
 
     arm: RigidArm
@@ -75,12 +73,15 @@ class ExcitationProblem:
     joint: Index
     place: Index
     reversal: Mask
-    torque: Array
-    regressor: Array
 
     @classmethod
     def of(
-        cls, arm: RigidArm, runs: Sequence[FilteredRun], *, rotors: bool = True
+        cls,
+        arm: RigidArm,
+        runs: Sequence[FilteredRun],
+        *,
+        rotors: bool = True,
+        like: ExcitationProblem | None = None,
     ) -> ExcitationProblem:
         """Stack the equations of runs.
 
@@ -88,37 +89,13 @@ class ExcitationProblem:
             arm: kinematics, couplings and elements; springs are identified on the joints that have one in it.
             runs: of this arm.
             rotors: as in `StandardColumns`.
+            like: equations whose parameters and joints these have; by default those that the runs tell.
         """
-        return cls.without_columns(arm, runs, rotors=rotors).with_columns()
-
-    def other(self, runs: Sequence[FilteredRun]) -> ExcitationProblem:
-        """Return the equations of other runs of the same arm, for the same parameters and joints."""
-        bare = ExcitationProblem.without_columns(self.arm, runs, rotors=self.columns.rotors)
-        same = np.isin(bare.joint, self.joint)
-        if not same.any():
-            raise IdentificationError(
-                f"{runs[0].source.path}: no joint of the excitation runs moves; accepted: runs in which one does"
-            )
-        return replace(bare.of_rows(same), columns=self.columns, base=self.base).with_columns()
-
-    def of_rows(self, rows: Mask) -> ExcitationProblem:
-        """Return some of the rows, shape (r,)."""
-        return replace(
-            self,
-            run=self.run[rows],
-            joint=self.joint[rows],
-            place=self.place[rows],
-            reversal=self.reversal[rows],
-            torque=self.torque[rows],
-            regressor=self.regressor[rows],
-        )
-
-    @classmethod
-    def without_columns(
-        cls, arm: RigidArm, runs: Sequence[FilteredRun], *, rotors: bool = True
-    ) -> ExcitationProblem:
-        """Return the rows of runs with their torque and no regressor; arguments as in `of`."""
-        moving = _moving(arm, runs)
+        moving = moving_in_any([run.velocity for run in runs], arm.identified)
+        missing = f"no joint moves in any run: {', '.join(arm.names)}; accepted: runs in which the joints move"
+        if like is not None:
+            moving &= np.isin(np.arange(len(moving)), like.joint)
+            missing = f"{runs[0].source.path}: no joint of the excitation runs moves; accepted: runs in which one does"
         acts = (arm.element_matrix != 0.0) & moving
         rows = []
         for number, run in enumerate(runs):
@@ -131,14 +108,15 @@ class ExcitationProblem:
             )
         table = np.concatenate(rows)
         if not len(table):
-            names = ", ".join(arm.names)
-            raise IdentificationError(
-                f"no joint moves in any run: {names}; accepted: runs in which the joints move"
-            )
-        columns = StandardColumns(arm, rotors=rotors)
-        position = np.concatenate([run.position for run in runs])
-        base = BaseGroups.of(columns, np.where(moving, np.nan, np.median(position, axis=0)))
-        bare = cls(
+            raise IdentificationError(missing)
+        if like is None:
+            columns = StandardColumns(arm, rotors=rotors)
+            position = np.concatenate([run.position for run in runs])
+            base = BaseGroups.of(columns, np.where(moving, np.nan, np.median(position, axis=0)))
+        else:
+            columns = like.columns
+            base = like.base
+        return cls(
             arm=arm,
             runs=tuple(runs),
             columns=columns,
@@ -147,10 +125,11 @@ class ExcitationProblem:
             joint=table[:, 1],
             place=table[:, 2],
             reversal=table[:, 3] != 0,
-            torque=np.empty(len(table)),
-            regressor=np.empty((len(table), 0)),
         )
-        return replace(bare, torque=bare.rows_of([run.torque[:, :, None] for run in runs])[:, 0])
+
+    def other(self, runs: Sequence[FilteredRun]) -> ExcitationProblem:
+        """Return the equations of other runs of the same arm, for the same parameters and joints."""
+        return ExcitationProblem.of(self.arm, runs, like=self)
 
     def __len__(self) -> int:
         return len(self.run)
@@ -169,6 +148,33 @@ class ExcitationProblem:
     def sample(self) -> Index:
         """Return each row's index among the filtered samples of all runs, one run after the other, shape (r,)."""
         return np.cumsum([0, *(len(run.rows) for run in self.runs)])[self.run] + self.place
+
+    @cached_property
+    def recorded(self) -> Array:
+        """Return the recorded torques of all runs' filtered samples, filtered, Nm, shape (k, n)."""
+        return np.concatenate([run.parallel(run.torque) for run in self.runs])
+
+    @cached_property
+    def torque(self) -> Array:
+        """Return the recorded torque of the rows, filtered, Nm, shape (r,)."""
+        return self.recorded[self.sample, self.joint]
+
+    @cached_property
+    def regressor(self) -> Array:
+        """Return the filtered columns of the b base parameters, shape (r, b)."""
+        leading = list(self.base.leading)
+        regressor = np.zeros((len(self), len(leading)))
+        for number, run in enumerate(self.runs):
+            for samples, rows in run.blocks():
+                values = self.columns.torque(
+                    run.position[samples], run.velocity[samples], run.acceleration[samples]
+                )
+                here = np.flatnonzero(
+                    (self.run == number) & (self.place >= rows.start) & (self.place < rows.stop)
+                )
+                filtered = run.parallel(values[:, :, leading])
+                regressor[here] = filtered[self.place[here] - rows.start, self.joint[here]]
+        return regressor
 
     @cached_property
     def time(self) -> Array:
@@ -224,43 +230,19 @@ class ExcitationProblem:
         prior = np.empty((0, self.regressor.shape[1]))
         return FrictionRows(self.torque, self.regressor, elements, group, self.block, prior)
 
-    def with_columns(self) -> ExcitationProblem:
-        """Return the same rows with the filtered columns of the base parameters."""
-        leading = list(self.base.leading)
-        regressor = np.zeros((len(self), len(leading)))
-        for number, run in enumerate(self.runs):
-            for samples, rows in run.blocks():
-                values = self.columns.torque(
-                    run.position[samples], run.velocity[samples], run.acceleration[samples]
-                )
-                here = np.flatnonzero(
-                    (self.run == number) & (self.place >= rows.start) & (self.place < rows.stop)
-                )
-                filtered = run.parallel(values[:, :, leading])
-                regressor[here] = filtered[self.place[here] - rows.start, self.joint[here]]
-        return replace(self, regressor=regressor)
-
-
-def _moving(arm: RigidArm, runs: Sequence[FilteredRun]) -> Mask:
-    """Return which joints move in any run, shape (n,)."""
-    usual = np.max([np.quantile(np.abs(run.velocity), USUAL_SPEED, axis=0) for run in runs], axis=0)
-    return np.asarray(
-        (usual > MOVING * usual[arm.identified].max(initial=0.0)) & (usual > LEAST_SPEED)
-    )
-
 
 def _phase(run: FilteredRun) -> Index:
     """Return the number of each row in its period; of a run that does not repeat itself, in the run, shape (k,)."""
     place = np.arange(len(run.rows))
     velocity = run.velocity[run.rows]
-    scale = np.sqrt(np.mean(velocity**2, axis=0))
+    scale = column_rms(velocity)
     velocity = velocity / np.where(scale > 0.0, scale, 1.0)
     energy = np.sum(velocity**2)
     if energy == 0.0:
         return place
     products = [correlate(column, column, method="fft")[len(place) - 1 :] for column in velocity.T]
     ahead = np.cumsum(np.sum(velocity**2, axis=1))
-    shared = 0.5 * (ahead[::-1] + energy - np.concatenate([[0.0], ahead[:-1]]))
+    shared = 0.5 * (ahead[::-1] + energy - np.append(0.0, ahead[:-1]))
     similarity = np.sum(products, axis=0) / np.maximum(shared, 1e-9 * energy)
     low = np.flatnonzero(similarity < 0.5 * SAME_MOTION)  # beyond the width of the peak at no lag
     high = np.flatnonzero((similarity > SAME_MOTION) & (place < 0.7 * len(place)))

@@ -124,16 +124,26 @@ class Bandwidths(NamedTuple):
 
 
 def moving_joints(records: Sequence[JointRecord]) -> Mask:
-    """Return which joints move in any of the records, shape (n,); a joint that trembles with the others rests."""
-    usual = np.max(
-        [np.quantile(np.abs(record.velocity), USUAL_SPEED, axis=0) for record in records], axis=0
-    )
-    moving = (usual > MOVING * usual.max()) & (usual > LEAST_SPEED)
+    """Return which joints move in any of the records, shape (n,)."""
+    moving = moving_in_any([record.velocity for record in records])
     if not moving.any():
         raise IdentificationError(
             f"{records[0].source}: no joint moves: {', '.join(records[0].names)}; accepted: runs in which joints move"
         )
-    return np.asarray(moving)
+    return moving
+
+
+def moving_in_any(velocities: Sequence[Array], among: Mask | slice = slice(None)) -> Mask:
+    """Return which joints move in any run, shape (n,); one that trembles with the others, or those `among` them, rests.
+
+    Args:
+        velocities: of each run, rad/s, shape (m, n).
+        among: joints with whose speeds the others' are compared.
+    """
+    usual = np.max(
+        [np.quantile(np.abs(velocity), USUAL_SPEED, axis=0) for velocity in velocities], axis=0
+    )
+    return np.asarray((usual > MOVING * usual[among].max(initial=0.0)) & (usual > LEAST_SPEED))
 
 
 def _highest(records: Sequence[JointRecord]) -> float:

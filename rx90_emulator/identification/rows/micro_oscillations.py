@@ -138,8 +138,12 @@ class MicroMotion:
 
     def load(self, break_away: Array) -> float:
         """Return the largest ratio, over the joints, of the friction's amplitude to break-away, Nm, shape (k,)."""
-        low, high = np.percentile(self.friction, (1.0, 99.0), axis=0)
-        return float(np.max(0.5 * (high - low) / break_away))
+        return float(np.max(amplitudes(self.friction) / break_away))
+
+
+def amplitudes(torque: Array) -> Array:
+    """Return half of the span of each column without its outliers, shape (k,), for an array of shape (m, k)."""
+    return np.asarray(0.5 * np.ptp(np.percentile(torque, (1.0, 99.0), axis=0), axis=0))
 
 
 def find_micro_motions(
@@ -268,7 +272,7 @@ class BristleRows:
         torques = []
         derivatives = []
         for number, traces in enumerate(self._traces):
-            torque = np.zeros((traces[0].size, len(self.inputs[0])))
+            torque = np.zeros((len(traces[0].viscous_spectrum), len(self.inputs[0])))
             slopes = np.zeros((*torque.shape, len(x)))
             for n, (trace, (c0, c1), start) in enumerate(
                 zip(traces, values, starts[number], strict=True)
@@ -321,16 +325,9 @@ class _Trace:
     step: float
 
     @cached_property
-    def viscous(self) -> Array:
-        return block_means(self.element.viscous_torque(self.speed), _BLOCK)
-
-    @cached_property
     def viscous_spectrum(self) -> Array:
-        return band_spectrum(self.viscous[:, None], self.step)[0][:, 0]
-
-    @property
-    def size(self) -> int:
-        return len(self.viscous_spectrum)
+        viscous = block_means(self.element.viscous_torque(self.speed), _BLOCK)
+        return band_spectrum(viscous[:, None], self.step)[0][:, 0]
 
     @cached_property
     def spectrum(self) -> Callable[[float, float], Array]:

@@ -42,8 +42,8 @@ class StandardColumns:
         """
         joints = range(1, len(self.arm.names) + 1)
         links = [f"{kind}_{joint}" for joint in joints for kind in _LINK]
-        rotors = [f"{'Ia'}_{joint}" for joint in joints]
-        offsets = [f"{'offset'}_{joint}" for joint in joints]
+        rotors = [f"Ia_{joint}" for joint in joints]
+        offsets = [f"offset_{joint}" for joint in joints]
         return (*links, *rotors, *(f"k_{joint + 1}" for joint in self.springs), *offsets)
 
     def torque(self, position: Array, velocity: Array, acceleration: Array) -> Array:

@@ -40,7 +40,6 @@ class Blocks(NamedTuple):
 
     Attributes:
         motion: positions, rad, velocities, rad/s, and accelerations, rad/s^2, shape (3, b, n).
-        torque: of the drives, Nm, shape (b, n).
         later: the torque that was recorded later by each of LAGS, Nm, shape (l, b, n).
         plateau: number of each block's plateau, shape (b,).
         velocity: of the elements in each plateau, rad/s, shape (p, n_el).
@@ -49,7 +48,6 @@ class Blocks(NamedTuple):
     """
 
     motion: Array
-    torque: Array
     later: Array
     plateau: Index
     velocity: Array
@@ -92,7 +90,6 @@ def find_blocks(
     lagged[len(LAGS) // 2] = joined[3]
     blocks = Blocks(
         motion=joined[:3],
-        torque=joined[3],
         later=lagged,
         plateau=np.repeat(np.arange(len(means)), [part.shape[1] for part in means]),
         velocity=np.array(velocities),
@@ -148,7 +145,7 @@ def sweep_rows(blocks: Blocks, arm: RigidArm, elements: Index) -> SweepRows:
         elements: numbers of the elements with a law; the others count as sticking.
     """
     slide = blocks.sliding & np.isin(np.arange(len(arm.element_names)), elements)
-    torque = blocks.torque - arm.torque(*blocks.motion)
+    torque = blocks.later[len(LAGS) // 2] - arm.torque(*blocks.motion)
     # The torque and its derivatives by the inertial parameters.
     columns = arm.regressor(*blocks.motion) * arm.inertial_scale()
     both = np.concatenate([torque[:, :, None], columns], axis=2)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rx90_common.bags.mapping import is_table
-from rx90_common.base.arrays import Array, interpolated, rms
+from rx90_common.base.arrays import Array, column_rms, interpolated, rms
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.kinematics import tip_position
 from rx90_common.friction import FrictionElement, FrictionSet
@@ -149,37 +149,27 @@ class Validation:
 
 
 def filtered_runs(
-    record: JointRecord, robot: RecordedRobot, bandwidths: Bandwidths
-) -> tuple[FilteredRun, ...]:
-    """Return the filtered runs of a record."""
-    # A torque of this project's plant belongs to the tick that ends at its stamp; a real arm's does not.
-    lead = (
-        0.5 * robot.plant_period
-        if robot.plant_period is not None and _is_simulated(record, robot)
-        else 0.0
-    )
-    return filter_record(record, bandwidths, lead)
-
-
-def recorded_equations(
-    records: Sequence[JointRecord],
-    robot: RecordedRobot,
-    bandwidths: Bandwidths,
-    *,
-    rotors: bool = True,
-) -> ExcitationProblem:
-    """Return the equations of records behind filters, stacked."""
-    runs = [run for record in records for run in filtered_runs(record, robot, bandwidths)]
-    return ExcitationProblem.of(robot.arm, runs, rotors=rotors)
+    records: Sequence[JointRecord], robot: RecordedRobot, bandwidths: Bandwidths
+) -> list[FilteredRun]:
+    """Return the filtered runs of records."""
+    return [
+        run
+        for record in records
+        for run in filter_record(record, bandwidths, _torque_lead(record, robot))
+    ]
 
 
 @lru_cache(8)  # the same records are filtered several times
-def _is_simulated(record: JointRecord, robot: RecordedRobot) -> bool:
-    """Return whether a bag has the set-points of this project's controller, which real arms and tables do not have."""
-    return (
-        not is_table(record.source)
-        and read_setpoints(record.source, record.names, robot.zero) is not None
-    )
+def _torque_lead(record: JointRecord, robot: RecordedRobot) -> float:
+    """Return by how much torques acted before their stamps, s.
+
+    A torque of this project's plant belongs to the tick that ends at its stamp; a real arm's does not. The bag of the
+    plant has the set-points of this project's controller, which real arms and tables do not have.
+    """
+    if robot.setup is None or is_table(record.source):
+        return 0.0
+    setpoints = read_setpoints(record.source, record.names, robot.zero)
+    return 0.0 if setpoints is None else 0.5 * robot.setup.rates.period
 
 
 def validation_bandwidths(record: JointRecord, chosen: Bandwidths | None) -> Bandwidths:
@@ -267,8 +257,7 @@ def validate(
         bandwidths: of the runs that the elements were identified from; by default those of the bag.
     """
     chosen = validation_bandwidths(record, bandwidths)
-    runs = filtered_runs(record, robot, chosen)
-    problem = ExcitationProblem.without_columns(robot.arm, runs)
+    problem = ExcitationProblem.of(robot.arm, filtered_runs([record], robot, chosen))
     predicted = written_torque(problem, robot.arm, elements)
     if sliding is not None:
         predicted = predicted + _error_of_weights(robot.arm, sliding, problem)
@@ -290,13 +279,12 @@ def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationPro
     Sweeps at constant velocity determine hardly anything of the inertias.
     """
     position = np.concatenate([run.position[run.rows] for run in problem.runs])
-    recorded = np.concatenate([run.parallel(run.torque) for run in problem.runs])
     nothing = np.zeros_like(position)
     regressor = arm.regressor(position, nothing, nothing)
     values, directions = np.linalg.eigh(sliding.inertial_covariance)
     parts = regressor @ (directions * np.sqrt(np.maximum(values, 0.0)))
     deviation = np.sqrt(np.mean(np.sum(parts**2, axis=2), axis=0))
-    known = deviation <= _MAX_WEIGHT_SD * np.sqrt(np.mean(recorded**2, axis=0))
+    known = deviation <= _MAX_WEIGHT_SD * column_rms(problem.recorded)
     return np.where(known, regressor @ sliding.inertial, 0.0)[problem.sample, problem.joint]
 
 

@@ -117,7 +117,7 @@ def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorque
     identified = problem.arm.identified
     rows = (problem.sample, problem.joint)
     time = np.concatenate([run.time[run.rows] for run in runs])
-    recorded = np.concatenate([run.parallel(run.torque) for run in runs])
+    recorded = problem.recorded
     expected = recorded.copy()
     expected[rows] = predicted
     compared = np.zeros(recorded.shape, dtype=np.bool_)

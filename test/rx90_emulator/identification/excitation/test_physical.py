@@ -20,7 +20,7 @@ from rx90_emulator.identification.bodies import (
     BaseEstimate,
     ConsistentInertias,
     InertialPrior,
-    central,
+    body_of,
     consistent_inertias,
     inertial_parameters,
 )
@@ -80,8 +80,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Arm:
 def assert_bodies(result: ConsistentInertias) -> None:
     for pseudo in result.pseudo:
         assert np.linalg.eigvalsh(pseudo)[0] > 0.0
-        _, _, inertia = central(pseudo)
-        moments = np.linalg.eigvalsh(inertia)
+        moments = np.linalg.eigvalsh(body_of(pseudo).inertia)
         assert moments[0] > 0.0
         assert moments[0] + moments[1] > moments[2]
     assert (result.rotors > 0.0).all()
@@ -287,7 +286,8 @@ def test_prior_without_inertials(urdf: str, words: list[str]) -> None:
     assert [text.split(";")[0] for text in prior.replaced[:-1]] == words
     assert prior.replaced[-1].startswith("rotor of a: begins at ")
     assert all(np.linalg.eigvalsh(body.pseudo)[0] > 0.0 for body in prior.bodies)
-    mass, center, inertia = central(prior.bodies[0].pseudo)
+    body = body_of(prior.bodies[0].pseudo)
+    mass, center, inertia = body.mass, body.lever, body.inertia
     np.testing.assert_allclose(center, [0.0, 0.0, 0.2])  # joint b lies 0.4 m above joint a
     about = inertia + mass * (center @ center * np.eye(3) - np.outer(center, center))
     assert prior.rotors[0] == pytest.approx(np.trace(about) / 3.0)
