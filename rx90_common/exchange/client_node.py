@@ -6,6 +6,7 @@ Services are also called without waiting: the result of a call is given to its c
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -28,6 +29,7 @@ from rx90_common.process.interrupts import deferred_interrupts
 POLL = 0.05
 """The longest time without a look for Ctrl-C, s."""
 _LINES = 100  # messages kept
+_ARTICLE = re.compile("^(an?|the) ")
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class ClientNode:
                 allowed += more()
                 more = float
             if time.monotonic() >= begin + allowed:
-                raise ExchangeError(f"found no {what.removeprefix('a ')} within {allowed:g} s")
+                raise ExchangeError(f"found no {_ARTICLE.sub('', what)} within {allowed:g} s")
             self.spin()
 
     def call(self, kind: Any, service: str, request: Any) -> Any:

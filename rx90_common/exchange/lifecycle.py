@@ -19,6 +19,8 @@ from typing import Any, Protocol, TypeVar
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.msg import State
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.executors import (
     Executor,
     ExternalShutdownException,
@@ -62,12 +64,15 @@ _ENTITIES = {  # what a configured node may have made, and the function that des
 
 def publish_diagnostics(
     node: Node, collect: Callable[[], tuple[bytes, str, dict[str, str]]]
-) -> None:
-    """Publish one status of a node on /diagnostics, once a second.
+) -> Callable[[], None]:
+    """Publish one status of a node on /diagnostics, once a second of the wall clock, also while simulated time stands.
 
     Args:
         node: the publisher's node.
         collect: returns the level (OK, WARN or ERROR of DiagnosticStatus), the message and the values.
+
+    Returns:
+        What publishes it at once.
     """
     publisher = node.create_publisher(DiagnosticArray, "/diagnostics", CLOCK_QOS)
     # Without the leading slash, as diagnostic_aggregator writes names.
@@ -86,7 +91,8 @@ def publish_diagnostics(
         array.header.stamp = node.get_clock().now().to_msg()
         publisher.publish(array)
 
-    node.create_timer(1.0, publish)
+    node.create_timer(1.0, publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    return publish
 
 
 class TickingNode(Protocol):

@@ -8,11 +8,13 @@ import tty
 from contextlib import suppress
 from typing import Protocol
 
+from rx90_common.base.errors import ConfigError
+
 _MOST_BYTES = 4096
 
 
 class DeviceLine(Protocol):
-    """A line; nothing waits, and a line that is full or has nobody at its other end loses what is written.
+    """A line; nothing waits.
 
     Attributes:
         name: what programs open.
@@ -20,11 +22,14 @@ class DeviceLine(Protocol):
 
     name: str
 
+    def has_new_client(self) -> bool:
+        """Return whether a program has come to the other end since the last call."""
+
     def read(self, most: int = _MOST_BYTES) -> bytes:
-        """Return bytes that have arrived, at most so many, one at least."""
+        """Return bytes that have arrived, at most so many."""
 
     def write(self, data: bytes | bytearray) -> int:
-        """Send bytes; return how many the line took."""
+        """Send bytes; return how many the line took, all of them if nobody is there."""
 
     def close(self) -> None:
         """Close it: for whoever has opened it, this is an unplugged cable."""
@@ -43,6 +48,13 @@ class PseudoTerminal(DeviceLine):
         tty.setraw(self._program)
         os.set_blocking(self.device, False)
         self.name = os.ttyname(self._program)
+        self._is_new = True
+
+    def has_new_client(self) -> bool:
+        """Return True the first time: who opens it later is not to be seen."""
+        is_new = self._is_new
+        self._is_new = False
+        return is_new
 
     def read(self, most: int = _MOST_BYTES) -> bytes:
         """Return bytes that have arrived, at most so many."""
@@ -68,29 +80,42 @@ class TcpLine(DeviceLine):
 
     Args:
         port: its number; 0 for any free one.
-        greeting: what each client gets first.
+
+    Raises:
+        ConfigError: for a port that another program has.
     """
 
-    def __init__(self, port: int, greeting: bytes) -> None:
-        self._server = socket.create_server(("127.0.0.1", port))
+    def __init__(self, port: int) -> None:
+        try:
+            self._server = socket.create_server(("127.0.0.1", port))
+        except OSError as error:
+            raise ConfigError(
+                f"port {port}: {error.strerror}; accepted: a free one, or 0 for any"
+            ) from error
         self._server.setblocking(False)
-        self._greeting = greeting
         self._client: socket.socket | None = None
         self.name = f"socket://127.0.0.1:{self._server.getsockname()[1]}"
 
+    def has_new_client(self) -> bool:
+        """Return whether a client has come; the next one comes when that has gone."""
+        if self._client is not None:
+            return False
+        with suppress(BlockingIOError):
+            self._client, _ = self._server.accept()
+            self._client.setblocking(False)
+        return self._client is not None
+
     def read(self, most: int = _MOST_BYTES) -> bytes:
-        """Return bytes of the client that have arrived, at most so many; let the next one come if it has gone."""
+        """Return bytes of the client that have arrived, at most so many."""
+        if self._client is None:
+            return b""
         try:
-            if self._client is None:
-                self._client, _ = self._server.accept()
-                self._client.setblocking(False)
-                self._client.send(self._greeting)
             data = self._client.recv(most)
         except BlockingIOError:
             return b""
         except OSError:
             data = b""
-        if not data and self._client is not None:
+        if not data:
             self._client.close()
             self._client = None
         return data

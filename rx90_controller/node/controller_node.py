@@ -95,6 +95,8 @@ class Control:
         ready: the line for the log once the first states have arrived.
     """
 
+    _torque_told = False
+
     def __init__(self, node: ManagedNode, *, local: bool) -> None:
         self._node = node
         self._log = node.get_logger()
@@ -160,7 +162,7 @@ class Control:
         loop.tolerances = parameters.tolerances
         loop.servo.streaming = parameters.stream
         loop.scale_speed(parameters.speed_scaling.initial_scaling_factor)
-        self._report = node.create_guard_condition(loop.report)
+        self._report = node.create_guard_condition(self.report)
         self._pacer = pacer = Pacer(rates.period, 1.0)
         self.serving = Serving(
             channel, motor, rates, loop, pacer, name, self.info, self.error, local=local
@@ -195,7 +197,7 @@ class Control:
         )
         _allow_goal_changes(node, cs7b.joint_names, loop)
         self._reported = (0, time.monotonic())  # tick and time of the last status
-        publish_diagnostics(node, self._status)
+        self._publish_status = publish_diagnostics(node, self._status)
 
     def _subscribe(self, loop: ServoLoop, *, local: bool) -> None:
         node = self._node
@@ -283,16 +285,25 @@ class Control:
             lambda: from_message(names, message, loop.servo.streaming, partial=some), source
         )
 
+    def report(self) -> None:
+        """Print, publish and send what has come up; tell at once that the torque has gone on or off."""
+        self.loop.report()
+        torque = self.loop.state.switch.on
+        if torque != self._torque_told:
+            self._torque_told = torque
+            self._publish_status()
+
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         refusal = self.loop.enable(request.data)
         response.success = not refusal
         response.message = refusal or ("torque on" if request.data else "torque off, brakes closed")
         if response.success:
             self._log.info(response.message)
+        self.report()
         return response
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
-        """Return level, message and values of how law, loops and ticks go, once a second, for `Diagnostics`."""
+        """Return level, message and values of how law, loops and ticks go, for diagnostics."""
         cs7b = self._cs7b
         state = self.loop.state
         switch = state.switch
@@ -380,12 +391,13 @@ class ControllerNode:
         """Give the motors torque: hold the arm, follow trajectories."""
         if self._control is not None:
             self._control.loop.post(TorqueSwitch(on=True, by_node=True))
+            self._control.report()
 
     def deactivate(self) -> None:
         """End the motion; torque off, brakes closed. Ticks are still answered, and time goes on."""
         if self._control is not None:
             self._control.loop.post(TorqueSwitch(on=False, by_node=True))
-            self._control.loop.report()
+            self._control.report()
             self.node.get_logger().info("inactive: torque off, brakes closed")
 
     def cleanup(self) -> None:

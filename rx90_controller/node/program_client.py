@@ -32,7 +32,7 @@ class ProgramClient:
 
     Attributes:
         start: measured joint angles in the beginning, rad, shape (n,).
-        outage: why the arm has no torque, in the controller's words; empty while it has. They come once a second.
+        outage: why the arm has, or had, no torque, in the controller's words, until the power is switched; or empty.
     """
 
     def __init__(self, client: ClientNode, controller: str, names: Sequence[str]) -> None:
@@ -49,17 +49,23 @@ class ProgramClient:
         )
         self._arm = trajectories.arm(names)
         self.start = self._arm.position
-        self.outage = ""
-        client.node.create_subscription(DiagnosticArray, "/diagnostics", self._take_status, 20)
         self._began: float | None = None
         self._sent = 0.0
+        self._seen = 0.0
+        self._powered = True
+        self._enabled: bool | None = None
+        self.outage = ""
+        self._heard = monotonic()
+        client.node.create_subscription(DiagnosticArray, "/diagnostics", self._take_status, 20)
+        client.wait(lambda: self._enabled is not None, "the controller's diagnostics")
 
     def position(self) -> Array:
         """Return the newest measured joint angles, rad, shape (n,)."""
         return self._arm.position
 
     def rest(self, _: float) -> Array:
-        """Return the newest measured joint angles, rad, shape (n,): the controller holds the arm by itself."""
+        """Send nothing until the power is back, and return the newest measured joint angles, rad, shape (n,)."""
+        self._powered = False
         return self.position()
 
     def power(self, on: bool) -> None:
@@ -68,25 +74,33 @@ class ProgramClient:
         Raises:
             ExchangeError: if it refuses, or does not answer.
         """
+        self._powered = False
+        self._enabled = None
         request = enable_request(self._controller, on)
         request.read(self._client.call(request.kind, request.service, request.request))
-        self._client.wait(lambda: on == (not self.outage), "the controller's word on the torque")
+        self._client.wait(lambda: self._enabled == on, "the controller's word on its torque")
+        self._powered = on
+        self.outage = ""
         self._began = None  # the arm's time has gone on
 
     def _take_status(self, message: DiagnosticArray) -> None:
         name = self._client.node.resolve_service_name(self._controller).strip("/")
         for status in message.status:
             if status.name == name:
-                enabled = KeyValue(key="enabled", value="true") in status.values
-                self.outage = "" if enabled else f"{name}: {status.message}"
+                self._heard = monotonic()
+                self._enabled = KeyValue(key="enabled", value="true") in status.values
+                if not self._enabled:
+                    self.outage = f"{name}: {status.message}"
 
     def send(self, time: float, position: Array, velocity: Array) -> None:
         """Send a set-point for a simulated time from the first one on, s, and let the arm come to that time.
 
+        Without power nothing is sent.
+
         Raises:
             ExchangeError: if its time stands still.
         """
-        if self._began is None:
+        if self._began is None or self._arm.time < self._seen:
             before = self._arm.count
             self._client.wait(lambda: self._arm.count > before + 1, "the arm's time")
             self._began = self._arm.time - self._sent
@@ -96,7 +110,7 @@ class ProgramClient:
             name=self._names, position=position.tolist(), velocity=velocity.tolist()
         )
         message.header.stamp = ros_time(round(stamp * NANOSECONDS))
-        if not self.outage:
+        if self._powered:
             self._targets.publish(message)
         latest = monotonic() + self._client.timeout
         while self._arm.time < stamp:
@@ -105,6 +119,9 @@ class ProgramClient:
                 raise ExchangeError(
                     f"the arm's time stands still at {self._arm.time:.3f} s; accepted: while it runs"
                 )
+        self._seen = self._arm.time
+        if monotonic() > self._heard + self._client.timeout:
+            self.outage = f"{self._controller} is silent"
 
     def signals(self, receive: Callable[[set[int]], None]) -> Callable[[set[int]], None]:
         """Return what publishes the outputs that are on; `receive` gets the inputs that are on."""

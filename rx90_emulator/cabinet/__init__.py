@@ -1,1 +1,1 @@
-"""The cabinet below its language: the arm in its own values, motions one after the other, signals, power and time."""
+"""What instructions of V+ act on: the arm in V+'s values, motions, signals, power, time, and the record of a run."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import read_yaml
-from rx90_common.base.errors import ConfigError, DivergenceError, SupervisionError
+from rx90_common.base.errors import ConfigError, DivergenceError, ExchangeError, SupervisionError
 from rx90_common.base.quoting import plain, quoted
 from rx90_emulator.cabinet.arm import ProgrammedArm
 from rx90_emulator.cabinet.errors import VplusError
@@ -65,7 +65,7 @@ class Drive(Protocol):
 
     Attributes:
         start: measured joint angles in the beginning, rad, shape (6,).
-        outage: why the arm has no power, in words; empty while it has.
+        outage: why the power has gone, though nobody here has switched it off; empty if it has not.
     """
 
     start: Array
@@ -130,6 +130,8 @@ class Cell:
         self._planned = list(inputs)
         self._on: set[int] = set()
         self._published: set[int] | None = None
+        if drive.outage:
+            self._cut()
 
     @property
     def time(self) -> float:
@@ -152,7 +154,7 @@ class Cell:
         if self.outputs() != self._published:
             self._published = self.outputs()
             self.publish(self._published)
-        if self.drive.outage and "POWER" in self.switches:
+        if self.drive.outage and self.switches & {"POWER", "DRY.RUN"} == {"POWER"}:
             self._cut()
             raise VplusError("Robot power off", self.drive.outage)
         setpoint = self.queue.advance(self.period, self.time)
@@ -175,15 +177,19 @@ class Cell:
         """Switch the power on, or off: the motion under way ends then.
 
         Raises:
-            ExchangeError: if a node refuses, or does not answer.
+            VplusError: if a node refuses, or does not answer; the power is off then.
         """
-        if on == ("POWER" in self.switches):
+        if on == ("POWER" in self.switches) and not self.drive.outage:
             return
         self.queue.stop()
-        self.drive.power(on)
+        self.switches.discard("POWER")
+        try:
+            self.drive.power(on)
+        except ExchangeError as error:
+            raise VplusError("Device not ready", str(error)) from error
         if on:
             self.queue.drop(self.drive.position())
-        self.switches ^= {"POWER"}
+            self.switches.add("POWER")
 
     def receive(self, on: set[int]) -> None:
         """Take the inputs that are on; the others are off."""

@@ -1,4 +1,4 @@
-"""What stops a motion or a program, as V+ says it.
+"""What stops a motion or a program, in the words of V+.
 
 Texts are better known than their numbers: both are from memory of the manuals, and every message says so of its number.
 """

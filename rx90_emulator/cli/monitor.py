@@ -75,7 +75,7 @@ def _serve(options: Namespace, cell: Cell, *, waits: bool) -> None:
     from rx90_common.process.lines import PseudoTerminal, TcpLine
     from rx90_emulator.vplus.monitor import serve
 
-    line = PseudoTerminal() if options.port is None else TcpLine(options.port, b".")
+    line = PseudoTerminal() if options.port is None else TcpLine(options.port)
     print(f"monitor of V+ on {line.name}", flush=True)
     serve(cell, options.folder, line, options.baud, waits=waits)
 

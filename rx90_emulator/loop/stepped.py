@@ -1,4 +1,4 @@
-"""The closed loop without ROS, a beat at a time: set-points come while it runs."""
+"""The closed loop without ROS, a beat at a time: set-points come while it runs (as a `Drive` of the cabinet)."""
 
 from __future__ import annotations
 

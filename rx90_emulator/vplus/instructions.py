@@ -149,9 +149,7 @@ def _from_rest(action: Callable[..., Waits]) -> Callable[..., Waits]:
     """Return what a motion does when a stop that is under way has ended, and the place where it begins is known."""
 
     def act(task: Task, *arguments: Any) -> Waits:
-        if not task.cell.switches & {"POWER", "DRY.RUN"}:
-            raise VplusError("Robot power off")
-        yield from _end_of_stop(task)
+        yield from _may_move(task)
         yield from action(task, *arguments)
 
     return act
@@ -187,7 +185,7 @@ def _issue(task: Task, end: Array, **instead: float) -> Waits:
         yield from _give(task, motion)
         if motion.has_begun:
             return
-        yield from _end_of_stop(task)
+        yield from _may_move(task)
         motion.start = task.queue.destination
 
 
@@ -204,6 +202,13 @@ def _give(task: Task, motion: Motion) -> Waits:
 
 def _end_of_stop(task: Task) -> Waits:
     return task.until(lambda: not task.queue.stopping, "the end of a stop")
+
+
+def _may_move(task: Task) -> Waits:
+    """Wait for the end of a stop: only then the place where a motion begins is known, and whether there is power."""
+    yield from _end_of_stop(task)
+    if not task.cell.switches & {"POWER", "DRY.RUN"}:
+        raise VplusError("Robot power off")
 
 
 def _move(task: Task, target: SE3 | Joints, hand: float | None = None) -> Waits:
@@ -256,7 +261,7 @@ def _delay(task: Task, seconds: float) -> Waits:
     motion.profile = Profile(duration, ramp, ramp)
     yield from _give(task, motion)
     if not motion.has_begun:
-        yield from _end_of_stop(task)
+        yield from _may_move(task)
         yield from _delay(task, seconds)
 
 

@@ -46,7 +46,7 @@ _FILE = re.compile(r"[\w-]+(\.\w+)?", re.ASCII)
 _CALLED = re.compile(r"(?:/C\s*)?(?:\d\s+)?([^,(]+(?:\(.*\))?)\s*(?:,\s*(-?\d+).*)?", re.IGNORECASE)
 _LONGEST_LINE = 1000
 _MOST_BYTES = 4096
-"""In a beat."""
+"""In a beat, and of output before programs wait."""
 _LATEST = 0.3
 """Time that is made up for, s; a machine that is slower than that is slower than the wall clock."""
 _INTERRUPT = 3
@@ -62,9 +62,9 @@ class Monitor:
     Args:
         cell: the arm, its signals and the time.
         folder: where LOAD and STORE find files.
-        send: shows text on the terminal.
 
     Attributes:
+        output: what the terminal shall show; who takes it away removes it. While it is long, programs wait.
         memory: programs and global variables.
         task: what runs programs and single instructions.
         program: the program that runs; None if none does.
@@ -72,19 +72,19 @@ class Monitor:
         cycles: that are left of it; negative for no end.
     """
 
-    def __init__(self, cell: Cell, folder: Path, send: Callable[[str], None]) -> None:
+    def __init__(self, cell: Cell, folder: Path) -> None:
+        self.output = bytearray()
         self.folder = folder
         self.memory = Memory()
         self.task = Task(self.memory, cell)
         self.program: Waits | None = None
         self.call: tuple[Any, ...] = ()
         self.cycles = 0
-        self._send = send
         self._reads = False
         self._typed = ""
         self._before = ""
         self._lines: list[str] = []
-        cell.show = lambda text, _, ends: send(f"{text}\r\n" if ends else text)
+        cell.show = lambda text, _, ends: self._send(f"{text}\r\n" if ends else text)
         cell.ask = self._ask
         for reading in (True, False):
             parse("", "step", reading)  # once takes long: later the arm would wait
@@ -94,6 +94,15 @@ class Monitor:
     def is_busy(self) -> bool:
         """Return whether a command runs that takes no line."""
         return self._question is None
+
+    def greet(self) -> None:
+        """Begin anew with a client who has just come: show the question that is open."""
+        self._typed = ""
+        self.output.clear()
+        self._send(self._question or "")
+
+    def _send(self, text: str) -> None:
+        self.output.extend(text.encode("latin-1", "replace"))
 
     def _begin(self) -> None:
         """Show the dot."""
@@ -121,14 +130,14 @@ class Monitor:
         self._take_lines()
 
     def _interrupt(self) -> None:
-        """End the program, a command with its question, and what has been typed."""
+        """End the program, a command with its question, what has been typed and what was to be shown."""
         self.abort()
         self._lines = []
         self._typed = ""
-        if self._question != _DOT:
-            self._dialogue.close()
-            self._send("\r\n")
-            self._begin()
+        self.output.clear()
+        self._send("\r\n")
+        self._dialogue.close()
+        self._begin()
 
     def _take_lines(self) -> None:
         """Take lines as commands and answers; a program with a unit has all of them, between its READs, too."""
@@ -155,7 +164,7 @@ class Monitor:
         """Let a beat pass: of the program, the command under way and the cell."""
         self._reads = False
         try:
-            if self.program is not None:
+            if self.program is not None and len(self.output) < _MOST_BYTES:
                 next(self.program)
         except StopIteration:
             self.call = ()
@@ -190,7 +199,7 @@ class Monitor:
 
     def _end(self, message: str) -> None:
         self.program = None
-        self._send(f"\r\n{message}\r\n.")
+        self._send(f"\r\n{message}\r\n{self._question or ''}")
 
     def _go_on(self, answer: str | None) -> None:
         """Go on with the dialogue until it asks or waits."""
@@ -457,7 +466,8 @@ def _edit(monitor: Monitor, text: str) -> Dialogue:
     head = text if "(" in text or present is None else _listing(present)[0].partition(" ")[2]
     trial = Memory()
     reader = read("\n".join([f".PROGRAM {head}", *lines, ".END"]), trial)
-    yield from (f"*{fault}* step {line - 1}" for line, fault in reader.faults)
+    for line, fault in reader.faults:
+        yield f"*{fault.replace('*', '')}* step {line - 1}"
     if not reader.faults:
         programs.update(trial.programs)
 
@@ -472,12 +482,16 @@ def _switch(monitor: Monitor, text: str, word: str) -> Dialogue:
     """Switch what begins as was typed on or off; without power, program and motion end."""
     known = [name for name in ("POWER", "CP", "DRY.RUN") if text and name.startswith(text.upper())]
     name = [*known, text][0]
-    if (word, name) == ("DISABLE", "POWER"):
-        monitor.abort()
-        monitor.task.cell.power(False)
-        return  # at once: no signal calls a program
-    yield from _do(monitor, f"{word} {name}")
-    if word == "ENABLE":
+    on = word == "ENABLE"
+    if name != "POWER":
+        yield from _do(monitor, f"{word} {name}")
+    else:  # also while a program runs
+        if not on:
+            monitor.abort()
+        while on and monitor.task.queue.stopping:
+            yield None
+        monitor.task.cell.power(on)
+    if on:
         yield ""
 
 
@@ -525,18 +539,17 @@ def serve(cell: Cell, folder: Path, line: DeviceLine, baud: int | None, *, waits
         baud: pace of the line, bits a second; None for no pace.
         waits: whether the time of the cell waits for the wall clock here; that of running nodes does so by itself.
     """
-    output = bytearray()
-    monitor = Monitor(cell, folder, lambda text: output.extend(text.encode("latin-1", "replace")))
-    line.write(output)
-    output.clear()
+    monitor = Monitor(cell, folder)
     rate = _MOST_BYTES if baud is None else cell.period * baud / _BITS
     pacer = Pacer(cell.period, float(waits), forgiven=_LATEST)
     room = 0.0  # of bytes each way, with what is left of the beat before
     while True:
         pacer.wait()
+        if line.has_new_client():
+            monitor.greet()
         room = room % 1.0 + rate
         most = int(room)
         if most:
             monitor.receive(line.read(most))
         monitor.beat()
-        del output[: line.write(output[:most])]
+        del monitor.output[: line.write(monitor.output[:most])]

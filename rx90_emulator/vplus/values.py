@@ -1,4 +1,4 @@
-"""Values of V+, the variables that hold them, and the errors that stop a program.
+"""Values of V+, and the variables that hold them.
 
 A value is a real (float), a string (str), a transformation (SE3, mm), a precision point (`Joints`, degrees) or
 a format of TYPE. Reals are doubles here; the cabinet's are single.

@@ -4,6 +4,9 @@ import os
 import socket
 from collections.abc import Callable
 
+import pytest
+
+from rx90_common.base.errors import ConfigError
 from rx90_common.process.lines import DeviceLine, PseudoTerminal, TcpLine
 
 
@@ -11,16 +14,16 @@ def until(line: DeviceLine, done: Callable[[bytes], bool]) -> bytes:
     """Read until what has come is enough; the system moves it there in its own time."""
     data = b""
     while not done(data):
+        line.has_new_client()
         data += line.read()
     return data
 
 
-def test_one_client_after_the_other_is_greeted_and_heard() -> None:
+def test_one_client_after_the_other_is_heard() -> None:
     """Of two at a time the second one waits; one that breaks off loses nothing for the next."""
-    line = TcpLine(0, b".")
+    line = TcpLine(0)
     address = ("127.0.0.1", int(line.name.rpartition(":")[2]))
-    assert line.read() == b""
-    assert line.write(b"lost") == 4
+    assert (line.has_new_client(), line.read(), line.write(b"lost")) == (False, b"", 4)
     with socket.create_connection(address) as first, socket.create_connection(address) as second:
         first.sendall(b"one")
         assert until(line, lambda data: len(data) == 3) == b"one"
@@ -29,7 +32,9 @@ def test_one_client_after_the_other_is_greeted_and_heard() -> None:
         second.sendall(b"two")
         assert until(line, lambda data: len(data) == 3) == b"two"
         assert line.write(b"heard") == 5
-        assert second.makefile("rb").read(6) == b".heard"
+        assert second.makefile("rb").read(5) == b"heard"
+        with pytest.raises(ConfigError, match=rf"^port {address[1]}: .*accepted: a free one"):
+            TcpLine(address[1])
     line.close()
 
 

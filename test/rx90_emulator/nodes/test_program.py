@@ -39,8 +39,9 @@ def test_a_program_moves_the_arm_of_running_nodes(processes: Processes, client: 
 
 
 def test_the_monitor_hears_of_torque_that_is_off_and_switches_it_on(processes: Processes, client: Client) -> None:
-    """Motions are refused until ENABLE POWER; then the arm moves from where it stands."""
-    processes.start("rx90_cell")
+    """Motions are refused until ENABLE POWER, also where the torque was off for a moment; then the arm moves."""
+    processes.start("rx90_cell").wait_for("rx90_controller.: ready")
+    client.enable(False)
     monitor = processes.start("rx90 monitor nodes", "--port", 0)
     port = int(monitor.wait_for(r"127.0.0.1:(\d+)")[1])
     with socket.create_connection(("127.0.0.1", port), timeout=60) as line:
@@ -57,12 +58,15 @@ def test_the_monitor_hears_of_torque_that_is_off_and_switches_it_on(processes: P
             return read(b"\r\n.")
 
         read(b".")
-        client.enable(False)
-        assert "*Robot power off* rx90_controller: " in read(b"\r\n.")
         assert "*Robot power off*" in command("do drive 1, 10, 50")
         assert "*" not in command("enable power")
         command("do drive 1, 10, 50")
         command("do break")
         assert float(command("where").split("\r\n")[4].split()[0]) == pytest.approx(10.0, abs=0.1)
+        client.enable(False)
+        client.enable(True)
+        assert "*Robot power off* rx90_controller: " in read(b"\r\n.")
+        assert "*Robot power off*" in command("do drive 1, 10, 50")
+        assert "*" not in command("enable power")
         assert "*" not in command("disable power")
         assert "*Robot power off*" in command("do drive 1, 10, 50")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from rx90_common.base.errors import ExchangeError
+from rx90_common.base.errors import ExchangeError, SupervisionError
 from rx90_common.process.lines import TcpLine
 from rx90_emulator.cabinet.arm import ProgrammedArm
 from rx90_emulator.cabinet.cell import PERIOD, Cell
@@ -29,17 +29,16 @@ def cell_of(setup: Setup) -> Cell:
 @pytest.fixture
 def talk(shipped: Setup, tmp_path: Path) -> Talk:
     """Return what types a line, lets beats pass until the monitor takes the next one, and returns what was shown."""
-    shown: list[str] = []
-    monitor = Monitor(cell_of(shipped), tmp_path, shown.append)
+    monitor = Monitor(cell_of(shipped), tmp_path)
 
     def type_line(line: str, beats: int = 0, end: str = "\r\n") -> str:
-        shown.clear()
+        monitor.output.clear()
         monitor.receive(f"{line}{end}".encode())
         for _ in range(beats):
             monitor.beat()
         while monitor.is_busy:
             monitor.beat()
-        return "".join(shown)
+        return monitor.output.decode()
 
     return type_line
 
@@ -135,7 +134,7 @@ def test_a_program_is_edited_run_stored_and_loaded(talk: Talk) -> None:
     until(talk, "status", " 1\r\n")
     assert talk("abort").endswith("(Y/N)? ")
     assert "stopped  p" in [talk("Y"), talk("status")][-1]
-    assert "*Unknown instruction*" in [talk(line) for line in ("EDIT q", "NONSENSE", "E")][-1]
+    assert "Unknown instruction* step 1" in [talk(line) for line in ("EDIT q", "NONSENSE", "E")][-1]
 
 
 def test_an_empty_program_without_end_lets_the_monitor_answer(talk: Talk) -> None:
@@ -193,7 +192,7 @@ def test_a_program_with_units_has_what_is_typed(talk: Talk) -> None:
     talk("exec p", 1)
     for line in ("1", "3,4", "nonsense"):
         talk(line)
-    assert talk("\x03") == "\r\n."
+    assert talk("\x03") == 2 * "\r\n."  # behind it, and behind an empty line
     assert "\r\n." in talk('do prompt "? ", x\r\x03', 3, "")
     assert "X/J1" in talk("listl")
     assert talk("exec p", 3) == "exec p\r\n."
@@ -214,8 +213,7 @@ def test_panic_and_speed_act_while_a_program_runs(talk: Talk, word: str) -> None
 
 def test_nodes_that_are_away_are_no_power_cut(shipped: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The monitor says what it does not hear, and goes on with its programs when they are back."""
-    shown: list[str] = []
-    monitor = Monitor(cell_of(shipped), tmp_path, shown.append)
+    monitor = Monitor(cell_of(shipped), tmp_path)
 
     def silent(*_: object) -> None:
         raise ExchangeError("the arm's time stands still")
@@ -223,17 +221,16 @@ def test_nodes_that_are_away_are_no_power_cut(shipped: Setup, tmp_path: Path, mo
     with monkeypatch.context() as away:
         away.setattr(monitor.task.cell.drive, "send", silent)
         monitor.beat()
-    assert "*the arm's time stands still*" in "".join(shown)
+    assert "*the arm's time stands still*" in monitor.output.decode()
     assert "POWER" in monitor.task.cell.switches
     monitor.beat()
 
 
 def test_a_place_where_nothing_can_be_written_is_refused(shipped: Setup, tmp_path: Path) -> None:
     """STORE says so in a line, and the monitor goes on."""
-    shown: list[str] = []
-    monitor = Monitor(cell_of(shipped), tmp_path / "away", shown.append)
+    monitor = Monitor(cell_of(shipped), tmp_path / "away")
     monitor.receive(b"store a\r")
-    assert re.search(r"\r\n\*.*cannot be written.*\*\r\n\.$", "".join(shown))
+    assert re.search(r"\r\n\*.*cannot be written.*\*\r\n\.$", monitor.output.decode())
 
 
 def test_a_reaction_that_was_aborted_comes_again(talk: Talk) -> None:
@@ -257,16 +254,15 @@ def test_a_reaction_of_a_stopped_program_waits_until_it_goes_on(talk: Talk) -> N
 
 def test_the_arm_moves_again_behind_a_power_cut(shipped: Setup, tmp_path: Path) -> None:
     """The supervision is told of once, motions are refused until ENABLE POWER, and begin where the arm then stands."""
-    shown: list[str] = []
     cell = cell_of(shipped)
-    monitor = Monitor(cell, tmp_path, shown.append)
+    monitor = Monitor(cell, tmp_path)
     cell.queue.position = cell.queue.position + 0.3
     lines = {"where": "Soft envelope error", "do drive 1, 10, 50": "*Robot power off*\r\n.", "en po": "en po\r\n\r\n."}
     for line, answer in lines.items():
         monitor.receive(f"{line}\r".encode())
         for _ in range(20):
             monitor.beat()
-        assert "".join(shown).count(answer) == 1
+        assert monitor.output.decode().count(answer) == 1
     stood = cell.drive.position()
     monitor.receive(b"do drive 1, 10, 50\r")
     for _ in range(60):
@@ -274,10 +270,45 @@ def test_the_arm_moves_again_behind_a_power_cut(shipped: Setup, tmp_path: Path) 
     assert cell.drive.position() - stood == pytest.approx([math.radians(10), 0, 0, 0, 0, 0], abs=2e-4)
 
 
+def test_a_motion_that_waits_is_refused_behind_a_power_cut(
+    shipped: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It does not begin without power."""
+
+    def cut(*_: object) -> None:
+        raise SupervisionError("too fast")
+
+    cell = cell_of(shipped)
+    monitor = Monitor(cell, tmp_path)
+    monitor.receive(b"do drive 1, 40, 20\rdo drive 1, -20, 5\r")
+    for _ in range(20):
+        monitor.beat()
+    assert monitor.is_busy
+    with monkeypatch.context() as away:
+        away.setattr(cell.drive, "send", cut)
+        monitor.beat()
+    while monitor.is_busy:
+        monitor.beat()
+    assert re.search(r"(?s)Soft envelope error.*\*Robot power off\*\r\n\.$", monitor.output.decode())
+    assert cell.queue.at_end
+
+
+def test_a_program_waits_while_nobody_takes_what_it_shows(shipped: Setup, tmp_path: Path) -> None:
+    """The output stays short; an interrupt empties it and ends the program."""
+    monitor = Monitor(cell_of(shipped), tmp_path)
+    monitor.receive(b'EDIT p\rDO\rTYPE "much"\rUNTIL FALSE\rE\rexec p\r')
+    for _ in range(100):
+        monitor.beat()
+    assert 4096 < len(monitor.output) < 8192
+    monitor.receive(b"\x03")
+    monitor.beat()
+    assert monitor.output == b"\r\n."
+
+
 def test_a_client_talks_over_tcp(shipped: Setup, tmp_path: Path) -> None:
     """A relative motion along the tool is done while the client asks where the arm is."""
     cell = cell_of(shipped)
-    served = TcpLine(0, b".")
+    served = TcpLine(0)
     words = {"waits": True}
     threading.Thread(target=serve, args=(cell, tmp_path, served, 2400), kwargs=words, daemon=True).start()
     port = int(served.name.rpartition(":")[2])
@@ -301,3 +332,9 @@ def test_a_client_talks_over_tcp(shipped: Setup, tmp_path: Path) -> None:
         place = [float(number) for number in lines[2].split()]
         assert 1.0 < (time.monotonic() - began) / (10 * len("".join(lines)) / 2400) < 20.0  # bits of a byte
         assert place[:3] == pytest.approx([450, 0, 405], abs=0.1)
+        stream.write(20 * b"where\r")
+    with socket.create_connection(("127.0.0.1", port), timeout=30) as line:  # gets nothing of the other one's
+        stream = line.makefile("rwb", buffering=0)
+        assert stream.read(1) == b"."
+        stream.write(b"status\r")
+        assert stream.readline() == b"status\r\n"

@@ -329,9 +329,7 @@ def test_the_command_writes_what_it_is_asked_for(tmp_path: Path, capsys: pytest.
     assert "head of 3: MOV code  77" in said
     assert "c08.strings:19" in said
     assert (tmp_path / "p.png").stat().st_size > 1000
-    assert re.search(
-        '<th class="words">line</th>.*<td class="words">c08.strings', (tmp_path / "p.html").read_text("utf-8"), re.S
-    )
+    assert re.search("<th>line</th>.*<td>c08.strings", (tmp_path / "p.html").read_text("utf-8"), re.S)
     assert run("rx90 replay", [str(tmp_path / "bag")]) == 0  # the bag's trajectory runs again
     (tmp_path / "a.v2").write_text(".PROGRAM a(x, $y)\nTYPE x, $y\nx = y\n.END\n.PROGRAM b()\nFOO\nBAR\n.END\n")
     assert run("rx90 program engine", [str(tmp_path / "a.v2")]) == 2
@@ -393,3 +391,23 @@ def test_the_yaw_of_a_tool_that_looks_down_stays_along_a_motion(shipped: Setup) 
     assert (np.diff(numbers[:, 5]) < 1e-6).all()  # from 30 to 0
     recorded = done.cell.arm.flange(done.cell.arm.angles(Joints([0.0, -90.001, 89.993, 0.0, 0.0, -0.005])))
     assert six_numbers(recorded)[3:] == pytest.approx([180.0, 0.008, 179.995], abs=1e-6)
+
+
+@pytest.mark.parametrize("motion", ["DRIVE 1, 40, 20", "DELAY 1"])
+def test_a_reaction_that_takes_the_power_ends_the_program(shipped: Setup, motion: str) -> None:
+    """The motion that waits meanwhile is refused."""
+    text = f"""
+.PROGRAM p()
+  REACT 1001, off
+  DRIVE 1, 40, 20
+  {motion}
+  BREAK
+.END
+.PROGRAM off()
+  DISABLE POWER
+.END
+"""
+    done = ran(shipped, text, Change(0.5, 1001, True))
+    assert "Robot power off" in str(done.error)
+    assert len(done.motions) == 1
+    assert done.cell.arm.joints(done.cell.queue.position)[0] < 30.0
