@@ -68,13 +68,11 @@ class RampFriction:
     def of(cls, values: Array, covariance: Array, scale: float) -> RampFriction:
         """Return the friction with intervals, for a relative uncertainty of the torque scale."""
         errors = np.sqrt(np.diag(covariance)).tolist()
-        estimates = [
+        coulomb, viscous, *inertia = (
             interval(value, error, scale)
             for value, error in zip(values.tolist(), errors, strict=True)
-        ]
-        return cls(
-            estimates[0], estimates[1], estimates[2] if len(estimates) > 2 else None, covariance
         )
+        return cls(coulomb, viscous, inertia[0] if inertia else None, covariance)
 
 
 @dataclass(frozen=True)

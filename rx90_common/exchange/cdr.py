@@ -472,12 +472,9 @@ def _parse_joint_state(raw: bytes, names: Sequence[str]) -> tuple[int, Arrays]:
     reader.string("header.frame_id")
     given = [reader.string(f"name[{i}]") for i in range(reader.length("name"))]
     accepted = ", ".join(names)
-    for name in given:
-        if name not in names:
-            raise ExchangeError(f"joint name {quoted(name)} is unknown; accepted: {accepted}")
-    for name in names:
-        if given.count(name) != 1:
-            fault = "repeated" if name in given else "missing"
+    for name in (*given, *names):
+        if name not in names or given.count(name) != 1:
+            fault = "missing" if name not in given else "repeated" if name in names else "unknown"
             raise ExchangeError(
                 f"joint name {quoted(name)} is {fault}; accepted: {accepted}, each once"
             )
