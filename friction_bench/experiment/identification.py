@@ -66,11 +66,11 @@ class RampFriction(NamedTuple):
     def of(cls, values: Array, covariance: Array, scale: float) -> RampFriction:
         """Return the friction with intervals, for a relative uncertainty of the torque scale."""
         errors = np.sqrt(np.diag(covariance)).tolist()
-        coulomb, viscous, *inertia = (
+        found = [
             interval(value, error, scale)
             for value, error in zip(values.tolist(), errors, strict=True)
-        )
-        return cls(coulomb, viscous, inertia[0] if inertia else None, covariance)
+        ]
+        return cls(found[0], found[1], found[2] if len(found) > 2 else None, covariance)
 
 
 class UsedRamp(NamedTuple):

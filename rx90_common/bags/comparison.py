@@ -175,11 +175,11 @@ def compare_bags(
     tolerances.check(topics, joints)
     results = []
     for topic in topics:
-        a, b = (bag.one(topic) if bag.series.get(topic) else None for bag in (first, second))
-        if a and b:
-            results.append(compare_series(a, b, tolerances, scope))
-        elif a or b:
-            where = "first" if a else "second"
+        both = [bag.one(topic) for bag in (first, second) if bag.series.get(topic)]
+        if len(both) == 2:
+            results.append(compare_series(both[0], both[1], tolerances, scope))
+        elif both:
+            where = "first" if first.series.get(topic) else "second"
             results.append(_incomparable(topic, f"only the {where} bag has messages of it"))
     if not results:
         raise BagError(
