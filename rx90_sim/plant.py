@@ -298,10 +298,8 @@ class Plant:
         Raises:
             DivergenceError: naming joint and tick; the state is invalid afterwards.
         """
-        if command is None:
-            joint = plant_step(self.constants, self.state, self._no_command, False)
-        else:
-            joint = plant_step(self.constants, self.state, command, True)
+        torques = self._no_command if command is None else command
+        joint = plant_step(self.constants, self.state, torques, command is not None)
         self.tick += 1
         if joint >= 0:
             self.raise_divergence(joint)

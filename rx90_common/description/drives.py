@@ -40,6 +40,7 @@ MAX_TERMS = 8
 """Of the Fourier series."""
 COPPER = 0.00393
 """Temperature coefficient of copper's resistance at 20 degrees, 1/K (IEC 60028)."""
+MOTOR = "motor"
 LINK = "link"
 _ABSOLUTE_ZERO = -273.15
 # rad: a tooth and its gap on a wheel with 12 teeth. Gears of robots have an arc minute, 0.0003 rad, common

@@ -24,7 +24,7 @@ from scipy.integrate import quad, solve_ivp
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
-from rx90_common.description.drives import LINK
+from rx90_common.description.drives import LINK, MOTOR
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.ripple import RipplePart
@@ -32,7 +32,6 @@ from rx90_emulator.loop.setup import Setup
 from rx90_sim.elastic_gears import mean_torque
 from rx90_sim.plant import Plant
 
-MOTOR = "motor"
 COUNTS = np.array([1, 2, 4])
 
 
