@@ -202,13 +202,12 @@ class RobotModel:
             raise kind(
                 f"{what}: {counted(np.size(position), 'number')}; accepted: {len(self.lower)}, one for each joint"
             )
-        values = np.asarray(position)
         for name, value, low, high in zip(
-            self.joint_names, values, self.lower, self.upper, strict=True
+            self.joint_names, np.asarray(position), self.lower, self.upper, strict=True
         ):
             if not low <= value <= high:
                 raise kind(
-                    f"{what}: {name} is {value:g} rad; accepted: [{low:.4g}, {high:.4g}], the joint's limits"
+                    f"{what}: {name} is {value:g} rad; accepted: [{low:.5g}, {high:.5g}], the joint's limits"
                 )
 
 
