@@ -332,7 +332,7 @@ def _covered(hits: list[bool]) -> tuple[float, str]:
 def measure_grid() -> tuple[list[str], bool]:
     """Print the figures of the grid; return what is not accepted, and whether all was measured."""
     cells = grid()
-    native_library()  # built once, before several processes want it
+    native_library({})  # built once, before several processes want it
     jobs = [
         (cell, 1000 * number + seed) for number, cell in enumerate(cells) for seed in range(SEEDS)
     ]

@@ -497,9 +497,8 @@ def _base_parameters(*content: bytes) -> BaseParameters:
 
 def _second_moments(chain: RigidChain) -> Array:
     """Return the integrals of r r^T over the mass about the link origins, shape (n, 3, 3), kg m^2."""
-    xx, yy, zz, xy, xz, yz = chain.inertia.T
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).transpose(2, 0, 1)
-    central = 0.5 * (xx + yy + zz)[:, None, None] * np.eye(3) - inertia
+    xx, yy, zz, *_ = chain.inertia.T
+    central = 0.5 * (xx + yy + zz)[:, None, None] * np.eye(3) - rotations.symmetric(chain.inertia)
     return np.asarray(central + chain.mass[:, None, None] * rotations.outer(chain.com, chain.com))
 
 

@@ -161,17 +161,7 @@ def add_stops(plant: Any, state: Any) -> None:
     """Add the torques of the stops to `state.rhs`: a spring and damper beyond the limits that only push back."""
     for i in range(size(state.q)):
         q = state.q_mid[i]
-        push = 0.0
-        if q > plant.upper[i]:
-            push = min(
-                0.0,
-                plant.stop_stiffness[i] * (plant.upper[i] - q)
-                - plant.stop_damping[i] * state.v_mid[i],
-            )
-        elif q < plant.lower[i]:
-            push = max(
-                0.0,
-                plant.stop_stiffness[i] * (plant.lower[i] - q)
-                - plant.stop_damping[i] * state.v_mid[i],
-            )
-        state.rhs[i] += push
+        above = q > plant.upper[i]
+        limit = plant.upper[i] if above else plant.lower[i]
+        push = plant.stop_stiffness[i] * (limit - q) - plant.stop_damping[i] * state.v_mid[i]
+        state.rhs[i] += min(0.0, push) if above else max(0.0, push) if q < limit else 0.0

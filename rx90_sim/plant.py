@@ -233,13 +233,12 @@ class Plant:
         substeps: int | None = None,
         seed: int = 0,
     ) -> None:
+        self._robot = robot
         self.joint_names = robot.joint_names
         self.friction = friction
         self.constants = _plant_record(robot, drives, friction, rates, substeps, seed)
         self.state: Record = (state := np.zeros(1, state_dtype(drives.turning.size)))
         self.tick = 0
-        self._lower = robot.lower
-        self._upper = robot.upper
         sensed = self.constants["sensor"]["used"][0]
         torque = state["sensor"]["torque"][0] if sensed else state["motor_torque"][0]
         self._motor_states = state["motor_position"][0], state["motor_velocity"][0], torque
@@ -251,7 +250,7 @@ class Plant:
         )
         self._no_command = np.zeros(len(self.joint_names))
         self.temperatures: Array = state["parts"]["temperature"]["temperature"][0]
-        self.reset(np.clip(self._no_command, self._lower, self._upper))
+        self.reset(np.clip(self._no_command, robot.lower, robot.upper))
 
     def reset(self, position: ArrayLike) -> None:
         """Put the arm at rest at `position`, rad, shape (n,), brakes closed, tick 0.
@@ -259,17 +258,7 @@ class Plant:
         It is the position by the encoders; where gears are elastic, the links hang a little off it.
         """
         target = np.array(position, dtype=np.float64)
-        if target.shape != self._lower.shape:
-            raise ConfigError(
-                f"initial position has shape {target.shape}; accepted: {self._lower.shape}"
-            )
-        for name, value, low, high in zip(
-            self.joint_names, target, self._lower, self._upper, strict=True
-        ):
-            if not low <= value <= high:
-                raise ConfigError(
-                    f"initial position of {name} is {value} rad; accepted: [{low:.4f}, {high:.4f}]"
-                )
+        self._robot.check_position("initial position", target)
         plant_reset(self.constants, self.state, target)
         self.tick = 0
 
@@ -309,10 +298,8 @@ class Plant:
         Raises:
             DivergenceError: naming joint and tick; the state is invalid afterwards.
         """
-        if command is None:
-            joint = plant_step(self.constants, self.state, self._no_command, False)
-        else:
-            joint = plant_step(self.constants, self.state, command, True)
+        torques = self._no_command if command is None else command
+        joint = plant_step(self.constants, self.state, torques, command is not None)
         self.tick += 1
         if joint >= 0:
             self.raise_divergence(joint)

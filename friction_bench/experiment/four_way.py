@@ -128,11 +128,8 @@ def _fixed_steps(
         t = k * step - begin
         drive = slope * max(t, 0.0)
         net = _net(drive, speed, coulomb, viscous)
-        found[0, k] = angle
-        found[1, k] = speed
-        found[2, k] = net / inertia
-        found[3, k] = net
         a1 = net / inertia
+        found[:, k] = angle, speed, a1, net
         v2 = speed + step / 2.0 * a1
         a2 = _net(slope * max(t + step / 2.0, 0.0), v2, coulomb, viscous) / inertia
         v3 = speed + 0.75 * step * a2

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -51,8 +50,7 @@ class IntervalEstimate(NamedTuple):
         return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
 
 
-@dataclass(frozen=True)
-class RampFriction:
+class RampFriction(NamedTuple):
     """Coulomb friction f_c, Nm, viscous friction f_v, Nm s/rad, inertia J, kg m², at the motor.
 
     `inertia` is None where one slope alone was run. `covariance`, in the order f_c, f_v (and J), is that of random
@@ -68,17 +66,14 @@ class RampFriction:
     def of(cls, values: Array, covariance: Array, scale: float) -> RampFriction:
         """Return the friction with intervals, for a relative uncertainty of the torque scale."""
         errors = np.sqrt(np.diag(covariance)).tolist()
-        estimates = [
+        found = [
             interval(value, error, scale)
             for value, error in zip(values.tolist(), errors, strict=True)
         ]
-        return cls(
-            estimates[0], estimates[1], estimates[2] if len(estimates) > 2 else None, covariance
-        )
+        return cls(found[0], found[1], found[2] if len(found) > 2 else None, covariance)
 
 
-@dataclass(frozen=True)
-class UsedRamp:
+class UsedRamp(NamedTuple):
     """One ramp that was used; time counts from the zero of the commanded torque.
 
     Attributes:
@@ -99,8 +94,7 @@ class UsedRamp:
         return self.record.slope
 
 
-@dataclass(frozen=True)
-class RampIdentification:
+class RampIdentification(NamedTuple):
     """Friction and inertia identified from a set of ramps under one load.
 
     Attributes:
@@ -319,8 +313,7 @@ def evaluate_as_source(loads: Mapping[str, Sequence[RampRecord]]) -> SourceEvalu
     return SourceEvaluation(figures, joint)
 
 
-@dataclass(frozen=True)
-class RampTestResult:
+class RampTestResult(NamedTuple):
     """The result of a measurement.
 
     Attributes:

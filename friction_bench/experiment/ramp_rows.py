@@ -20,7 +20,6 @@ beta and kappa in rad/s, T in s.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -131,8 +130,7 @@ class Alone(NamedTuple):
     misfit: float
 
 
-@dataclass(frozen=True)
-class Errors:
+class Errors(NamedTuple):
     """By what angles differ from a model.
 
     Attributes:

@@ -42,8 +42,7 @@ SATURATION_LIMIT = 0.06
 """Relative shortfall of the measured torque that counts as saturation."""
 
 
-@dataclass(frozen=True)
-class RampModel:
+class RampModel(NamedTuple):
     """Equation 3 under a ramp torque in closed form, one side of the gear: J w' = m t - f_v w - f_c sgn w.
 
     Friction f_c in Nm and f_v in Nm s/rad, inertia J in kg m², slope m in Nm/s. Break-away at t_b = (f_c + f_r) / m,

@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -62,8 +63,7 @@ _ALPHA, _BETA, _T, _KAPPA, _VELOCITY, _EXPONENT = range(6)
 """Places of alpha, beta, T, kappa, ln w_s and ln e among the parameters; without an effect there are three."""
 
 
-@dataclass(frozen=True)
-class RampsFit:
+class RampsFit(NamedTuple):
     """The joint fit of all ramps of one load.
 
     Attributes:
@@ -238,9 +238,9 @@ class _Ramps:
 
     def moved(self, x: Array) -> _Ramps:
         """Return the ramps with what a fit tells of their rows."""
-        ramps = replace(self, level=x[:_T], errors=replace(self.errors, T=float(x[_T])))
+        ramps = replace(self, level=x[:_T], errors=self.errors._replace(T=float(x[_T])))
         ramps = ramps.with_noise(x)
-        ramps = replace(ramps, errors=replace(ramps.errors, spread=ramps.spread(x)))
+        ramps = replace(ramps, errors=ramps.errors._replace(spread=ramps.spread(x)))
         return ramps.started(x)
 
     def with_noise(self, x: Array) -> _Ramps:
@@ -251,7 +251,7 @@ class _Ramps:
         """
 
         def trial(logarithm: float) -> _Ramps:
-            return replace(self, errors=replace(self.errors, noise=math.exp(logarithm)))
+            return replace(self, errors=self.errors._replace(noise=math.exp(logarithm)))
 
         def misfit(logarithm: float) -> float:
             ramps = trial(logarithm)
@@ -317,7 +317,7 @@ def find_bends(windows: Sequence[SlidingWindow]) -> list[tuple[float, float] | N
     T = float(np.median([_Ramps.begin([window]).fit().x[_T] for window in windows]))
     T = min(T, LONGEST_SETTLING / SETTLED * ramps.longest)
     x = np.array([*ramps.level, T])
-    ramps = replace(ramps, errors=replace(ramps.errors, T=T)).with_noise(x)
+    ramps = replace(ramps, errors=ramps.errors._replace(T=T)).with_noise(x)
     bends = [ramps.bend(k, x) for k in range(len(windows))]
     if any(bends) and len(np.unique(ramps.slopes)) > 1:
         bounded = replace(ramps, longest_transient=max(2.0 * T, LONGEST_T * windows[0].record.tick))
@@ -349,7 +349,7 @@ def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
         x = np.concatenate([result.x, problem.start[_KAPPA:]])
     free = np.zeros(len(x), dtype=np.bool_)
     covariance = deviations(
-        replace(result, problem=problem, x=x, slopes=problem.model(x)[1], at_bound=free)
+        result._replace(problem=problem, x=x, slopes=problem.model(x)[1], at_bound=free)
     ).covariance
     alpha, beta, T = result.x[:_KAPPA].tolist()
     to_values = np.array(

@@ -162,12 +162,8 @@ class BenchNode:
 
     def _check(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         try:
-            BenchParameters.of(
-                {
-                    **parameter_values(self.node),
-                    **{parameter.name: parameter.value for parameter in parameters},
-                }
-            )
+            given = {parameter.name: parameter.value for parameter in parameters}
+            BenchParameters.of(parameter_values(self.node) | given)
         except Rx90Error as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

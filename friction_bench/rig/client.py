@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from friction_bench.rig.messages import (
     PROTOCOL_VERSION,
@@ -68,8 +67,7 @@ def unwrap(value: int, last: int | None, bits: int) -> int:
     return last + (value - last + half) % (2 * half) - half
 
 
-@dataclass(frozen=True)
-class Sample:
+class Sample(NamedTuple):
     """One reading: firmware tick (cumulative), time of that tick, s, and counts (cumulative)."""
 
     tick: int

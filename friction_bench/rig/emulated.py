@@ -29,11 +29,6 @@ _SOURCES = ("core/frame.c", "core/rig.c", "native/hal_native.c")
 _HEADERS = ("core/frame.h", "core/hal.h", "core/rig.h", "core/rig_config.h")
 
 
-def firmware_directory() -> Path:
-    """Return the folder of the firmware's sources."""
-    return share_directory() / "firmware"
-
-
 def compile_core(sources: Path, library: Path, figures: Mapping[str, int]) -> None:
     """Compile the firmware in `sources` for this computer into `library`; `figures` replace those of rig_config.h.
 
@@ -56,10 +51,9 @@ def compile_core(sources: Path, library: Path, figures: Mapping[str, int]) -> No
         raise RigError(f"the C compiler {compiler} refused the firmware: {reason}")
 
 
-def native_library(figures: Mapping[str, int] | None = None) -> Path:
+def native_library(figures: Mapping[str, int]) -> Path:
     """Return the compiled firmware, building it where these sources were not built with these figures before."""
-    figures = figures or {}
-    sources = firmware_directory()
+    sources = share_directory() / "firmware"
     digest = hashlib.sha256()
     for name in (*_SOURCES, *_HEADERS):
         digest.update((sources / name).read_bytes())
@@ -80,13 +74,13 @@ class NativeBoard:
     """A board whose processor is this computer: same firmware, time in slices of the caller's choice.
 
     Args:
-        library: the compiled firmware; by default the shipped one, built on first use.
+        library: the compiled firmware.
     """
 
-    def __init__(self, baud: int = 19200, library: Path | None = None) -> None:
+    def __init__(self, baud: int, library: Path) -> None:
         # The core keeps its state in globals, as a microcontroller does: each board loads a copy of its own.
         with tempfile.TemporaryDirectory() as folder:
-            copy = shutil.copy(library or native_library(), folder)
+            copy = shutil.copy(library, folder)
             self._core = ctypes.CDLL(copy)
         self._baud = baud
         self._buffer = ctypes.create_string_buffer(4096)

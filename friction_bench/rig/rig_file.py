@@ -254,12 +254,9 @@ class Rig(RigFile):
         """Return the figures that the firmware of an emulated rig is built for, where they are not the shipped ones."""
         figures: dict[str, int] = {}
         if self.torque.limit_lifted:
-            scales = {
-                "DAC_FULL_SCALE": self.torque.dac_full_scale,
-                "ADC_FULL_SCALE": self.torque.adc_full_scale,
-            }
-            figures |= {name: round(scale * 1e4) for name, scale in scales.items()}
-            figures |= {
+            figures = {
+                "DAC_FULL_SCALE": round(self.torque.dac_full_scale * 1e4),
+                "ADC_FULL_SCALE": round(self.torque.adc_full_scale * 1e4),
                 "SCALE_UNIT": 100,
                 "TORQUE_LIMIT_CODE": HIGHEST_END,
                 "CURRENT_LIMIT_CODE": CODES - 1,

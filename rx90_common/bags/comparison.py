@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
 from rx90_common.bags.mapping import LogMapping
-from rx90_common.bags.reading import JointBag, read_joint_bag
+from rx90_common.bags.reading import read_joint_bag
 from rx90_common.bags.recorded import START, TRAJECTORY, time_shift
 from rx90_common.bags.tolerance import Tolerances
 from rx90_common.base.arrays import Array, Index
@@ -31,8 +31,7 @@ class Verdict(IntEnum):
     INCOMPARABLE = 2
 
 
-@dataclass(frozen=True)
-class Side:
+class Side(NamedTuple):
     """What one of two series has and the other lacks.
 
     Attributes:
@@ -46,8 +45,7 @@ class Side:
     outside: int
 
 
-@dataclass(frozen=True)
-class ValueDifference:
+class ValueDifference(NamedTuple):
     """The differences of one field of one joint over the pairs of messages.
 
     Attributes:
@@ -73,8 +71,7 @@ class ValueDifference:
     not_finite: int
 
 
-@dataclass(frozen=True)
-class TopicComparison:
+class TopicComparison(NamedTuple):
     """The comparison of one topic.
 
     Attributes:
@@ -105,8 +102,7 @@ class TopicComparison:
         return self.verdict is Verdict.SAME and all(value.tolerance == 0.0 for value in self.values)
 
 
-@dataclass(frozen=True)
-class BagComparison:
+class BagComparison(NamedTuple):
     """The comparison of two bags.
 
     Attributes:
@@ -179,12 +175,11 @@ def compare_bags(
     tolerances.check(topics, joints)
     results = []
     for topic in topics:
-        a = _part(first, topic)
-        b = _part(second, topic)
-        if a and b:
-            results.append(compare_series(a, b, tolerances, scope))
-        elif a or b:
-            where = "first" if a else "second"
+        both = [bag.one(topic) for bag in (first, second) if bag.series.get(topic)]
+        if len(both) == 2:
+            results.append(compare_series(both[0], both[1], tolerances, scope))
+        elif both:
+            where = "first" if first.series.get(topic) else "second"
             results.append(_incomparable(topic, f"only the {where} bag has messages of it"))
     if not results:
         raise BagError(
@@ -192,11 +187,6 @@ def compare_bags(
         )
     others = {topic.name for topic in (*first.topics, *second.topics) if not topic.is_joint_state}
     return BagComparison(first.path, second.path, tuple(results), tuple(sorted(others)), shift)
-
-
-def _part(bag: JointBag, topic: str) -> JointSeries | None:
-    """Return what is compared of a topic, None where there is no message."""
-    return bag.one(topic) if bag.series.get(topic) else None
 
 
 def compare_series(

@@ -65,8 +65,10 @@ class JointSeries:
     @property
     def quantities(self) -> dict[str, str]:
         """Return each field's quantity and unit, such as `position [rad]`; friction_states have other names."""
-        pairs = quantities(self.topic, self.effort_unit)
-        return {field: f"{name} [{unit}]" for field, (name, unit) in pairs.items()}
+        return {
+            field: f"{name} [{unit}]"
+            for field, (name, unit) in quantities(self.topic, self.effort_unit).items()
+        }
 
     @property
     def units(self) -> dict[str, str]:

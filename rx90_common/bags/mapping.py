@@ -30,6 +30,7 @@ from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import FIELDS, quantities
+from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import BagError
 from rx90_common.base.models import (
@@ -106,11 +107,9 @@ class FieldColumns(FileModel):
     """What the log's numbers are multiplied by: one number, or one for each name."""
 
     @property
-    def factors(self) -> tuple[float, ...]:
-        """Return what turns the numbers of each column into SI units."""
-        return tuple(
-            (np.broadcast_to(self.factor, len(self.columns)) * _SCALES[self.unit]).tolist()
-        )
+    def factors(self) -> Array:
+        """Return what turns the numbers of each column into SI units, one for each."""
+        return np.broadcast_to(self.factor, len(self.columns)) * _SCALES[self.unit]
 
 
 class PositionColumns(FieldColumns):

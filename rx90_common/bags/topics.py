@@ -20,13 +20,13 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 PARAMETER_EVENT = "rcl_interfaces/msg/ParameterEvent"
 
 
-FIELDS = ("position", "velocity", "effort")
-"""The arrays of a JointState."""
 POINT_FIELDS = ("positions", "velocities", "accelerations", "effort")
 """The arrays of a JointTrajectoryPoint, in the order of the message."""
 EFFORT_UNIT = "rx90_emulator effort unit of "
 """Prefix of the key in rosbag2's custom_data that states the unit of a topic's efforts."""
 USUAL_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "Nm"}
+FIELDS = tuple(USUAL_UNITS)
+"""The arrays of a JointState."""
 
 SUITE_TOPICS = (
     "joint_states",

@@ -59,12 +59,12 @@ def assumed_files(
     n = len(rotors)
     effort = np.abs(turning.joint_turns.T) @ robot.max_effort
     kv = min(_HIGHEST_KV, _FASTEST / most)
-    gear = np.array(
-        known["transmission", "gear"].value if ("transmission", "gear") in known else [_GEAR] * n
-    )
-    constant = np.full(n, _TORQUE_CONSTANT)
-    if ("motor", "torque_constant") in known:
-        constant = np.array(known["motor", "torque_constant"].value)
+
+    def of_motors(block: str, key: str, usual: float) -> Array:
+        return np.array(known[block, key].value if (block, key) in known else [usual] * n)
+
+    gear = of_motors("transmission", "gear", _GEAR)
+    constant = of_motors("motor", "torque_constant", _TORQUE_CONSTANT)
     current = effort / np.abs(gear * constant)
     # A light link could reach thousands of rad/s^2: the accelerations of plans and recorded motions are enough.
     fastest = np.maximum(robot.max_velocity / FULL_SPEED_TIME, acceleration)
@@ -80,7 +80,7 @@ def assumed_files(
     drives: dict[str, dict[str, Any]] = {
         "transmission": {
             "gear": _six(gear), "rotor_inertia": _six(rotors),
-            "coupling": [[float(value) for value in row] for row in turning.turns],
+            "coupling": turning.turns.tolist(),
         },
         "motor": {"torque_constant": _six(constant), "peak_current": _six(current)},
         "encoder": {"counts_per_revolution": _COUNTS, "velocity_bandwidth": _OBSERVER_HZ},

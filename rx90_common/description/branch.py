@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 
 SHOULDERS = ("front", "back")
 SIGNS = ("positive", "negative")
@@ -29,6 +28,3 @@ class Branch:
 
     def __str__(self) -> str:
         return f"{self.shoulder}/{self.elbow}/{self.wrist}"
-
-
-BRANCHES = tuple(Branch(*labels) for labels in product(SHOULDERS, SIGNS, SIGNS))

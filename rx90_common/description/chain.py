@@ -19,6 +19,7 @@ from rx90_common.description.rotations import (
     product,
     rotated,
     rpy_rotation,
+    symmetric,
     transposed,
 )
 from rx90_common.description.urdf import LinkBody, bodies, placements
@@ -109,13 +110,11 @@ def rigid_chain(root: ET.Element, names: Sequence[str], tcp_link: str) -> RigidC
 
 
 def _body(frame: _Frame, body: LinkBody) -> _Body:
-    xx, yy, zz, xy, xz, yz = body.inertia
     turn = product(frame.rotation, rpy_rotation(body.rpy))
-    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return _Body(
         body.mass,
         frame.position + rotated(frame.rotation, np.array(body.xyz)),
-        product(product(turn, tensor), transposed(turn)),
+        product(product(turn, symmetric(body.inertia)), transposed(turn)),
         frame.joints,
     )
 

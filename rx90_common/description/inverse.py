@@ -6,7 +6,7 @@ q = 0, and whose axes 4, 5 and 6 meet in one point; the RX90 is one of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,8 +36,7 @@ _NEWTON_RESIDUAL = 1e-12
 _RESTARTS = 100
 
 
-@dataclass(frozen=True, eq=False)
-class SphericalWristArm:
+class SphericalWristArm(NamedTuple):
     """The constants of the closed form, all in the base frame at q = 0, m.
 
     Attributes:
@@ -99,14 +98,18 @@ class SphericalWristArm:
 
     def solve(self, chain: RigidChain, pose: Pose, branch: Branch) -> Array:
         """Return the joint angles (n, 6) in (-2π, 2π] for poses (n, 3), (n, 3, 3); NaN rows: out of reach."""
-        rotation = product(pose.rotation, transposed(chain.tcp_rotation))
-        wrist = pose.position + rotated(rotation, self.wrist - chain.tcp_position)
+        wrist, rotation = self._link_6(chain, pose)
         q = np.empty((len(wrist), 6))
         with np.errstate(invalid="ignore"):
             q[:, :3] = self._arm_angles(wrist, branch)
         before = product(axis_rotation(_Z, q[:, 0]), axis_rotation(_Y, q[:, 1] + q[:, 2]))
         q[:, 3:] = self._wrist_angles(product(transposed(before), rotation), branch)
         return q * self.signs
+
+    def _link_6(self, chain: RigidChain, pose: Pose) -> Pose:
+        """Return the wrist centre and the axes of link 6, for poses of the tool centre point."""
+        rotation = product(pose.rotation, transposed(chain.tcp_rotation))
+        return Pose(pose.position + rotated(rotation, self.wrist - chain.tcp_position), rotation)
 
     def _arm_angles(self, wrist: Array, branch: Branch) -> Array:
         x, y = (wrist[:, :2] - self.axis_1).T
@@ -139,9 +142,7 @@ class SphericalWristArm:
 
     def forward_reach(self, chain: RigidChain, q: Array) -> Array:
         """Return the distance (n,) of the wrist centre from axis 1 in the arm plane, signed, m."""
-        pose = forward(chain, q)
-        rotation = product(pose.rotation, transposed(chain.tcp_rotation))
-        wrist = pose.position + rotated(rotation, self.wrist - chain.tcp_position)
+        wrist, _ = self._link_6(chain, forward(chain, q))
         sine, cosine = sines_cosines(self.signs[0] * np.asarray(q)[..., 0])
         x = wrist[..., 0] - self.axis_1[0]
         y = wrist[..., 1] - self.axis_1[1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +9,6 @@ from pydantic import Field
 
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.models import FileModel, PerJoint, quantity, read_model
-from rx90_common.base.quoting import counted
 from rx90_common.description.robot import RobotModel
 
 
@@ -44,23 +42,7 @@ class Poses(FileModel):
 
     def check(self, robot: RobotModel) -> None:
         """Check that an arm reaches the poses."""
-        check_pose("home", self.home.position, robot)
+        robot.check_position("home", self.home.position, IdentificationError)
         for poses, where in (self.sweeps, ""), (self.validation, " of the validation"):
             for number, pose in enumerate(poses.positions, 1):
-                check_pose(f"pose {number}{where}", pose, robot)
-
-
-def check_pose(pose_name: str, pose: Sequence[float], robot: RobotModel) -> None:
-    """Check that an arm has a pose, rad, within its joints' ranges."""
-    count = len(robot.joint_names)
-    if len(pose) != count:
-        raise IdentificationError(
-            f"{pose_name}: {counted(len(pose), 'number')}; accepted: {count}, one for each joint"
-        )
-    for name, value, low, high in zip(
-        robot.joint_names, pose, robot.lower, robot.upper, strict=True
-    ):
-        if not low <= value <= high:
-            raise IdentificationError(
-                f"{pose_name}: {name} is {value:g} rad; accepted: [{low:.4g}, {high:.4g}], the joint's limits"
-            )
+                robot.check_position(f"pose {number}{where}", pose, IdentificationError)

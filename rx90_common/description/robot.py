@@ -14,10 +14,11 @@ from typing import Annotated, Any, NoReturn, TypeAlias
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from rx90_common.base.arrays import MAX_JOINTS, Array
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.models import (
     FileModel,
     Named,
@@ -192,6 +193,22 @@ class RobotModel:
             raise ConfigError(
                 f"{plain(file)}: {name} has {counted(len(values), 'number')}; {accepted}"
             )
+
+    def check_position(
+        self, what: str, position: ArrayLike, kind: type[Rx90Error] = ConfigError
+    ) -> None:
+        """Check that a position, rad, is within the ranges of the joints; refused by an error of a kind."""
+        if np.shape(position) != self.lower.shape:
+            raise kind(
+                f"{what}: {counted(np.size(position), 'number')}; accepted: {len(self.lower)}, one for each joint"
+            )
+        for name, value, low, high in zip(
+            self.joint_names, np.asarray(position), self.lower, self.upper, strict=True
+        ):
+            if not low <= value <= high:
+                raise kind(
+                    f"{what}: {name} is {value:g} rad; accepted: [{low:.5g}, {high:.5g}], the joint's limits"
+                )
 
 
 def load_robot(

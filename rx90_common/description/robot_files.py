@@ -155,13 +155,12 @@ class RobotFiles:
 
         Without the line that names a JSON schema for editors: its path begins at the file's own folder.
         """
-        paths = {"tool": self.tool, "task": self.task, "poses": self.poses}
-        texts = {
-            FILES[role]: path.read_text(encoding="utf-8")
-            for role, path in paths.items()
+        paths = {FILES[role]: getattr(self, role) for role in _OPTIONAL}
+        return {
+            name: re.sub(_SCHEMA_LINE, "", path.read_text(encoding="utf-8"))
+            for name, path in paths.items()
             if path is not None
         }
-        return {name: re.sub(_SCHEMA_LINE, "", text) for name, text in texts.items()}
 
     def text(self, role: str) -> str:
         """Return the name of a file: its path below config/ if it is there, "none" for no tool."""
@@ -180,11 +179,10 @@ def provenance_of(files: RobotFiles) -> dict[str, list[str]]:
         if path is None or role == "urdf":
             continue
         content = read_yaml(path)
-        blocks = {
-            name: block.get("provenance")
+        texts = [
+            f"{name} {block['provenance']}"
             for name, block in content.items()
-            if isinstance(block, dict)
-        }
-        texts = [f"{name} {provenance}" for name, provenance in blocks.items() if provenance]
+            if isinstance(block, dict) and block.get("provenance")
+        ]
         found[role] = texts or [str(content.get("provenance") or "not said")]
     return found

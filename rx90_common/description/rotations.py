@@ -53,6 +53,11 @@ def outer(a: Array, b: Array) -> Array:
     return a[..., :, None] * b[..., None, :]
 
 
+def symmetric(entries: ArrayLike) -> Array:
+    """Return the matrices (..., 3, 3) with the entries xx, yy, zz, xy, xz, yz (..., 6)."""
+    return np.asarray(entries)[..., [[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
+
+
 def cross_matrix(vector: Array) -> Array:
     """Return the matrix (3, 3) whose product with another vector is the cross product of `vector` (3,) with it."""
     x, y, z = vector

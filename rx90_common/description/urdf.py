@@ -17,6 +17,7 @@ import pinocchio as pin
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.text_lines import read_bytes
+from rx90_common.description.rotations import symmetric
 
 TURNING = ("revolute", "continuous")
 """Types of joints that turn about an axis."""
@@ -32,8 +33,7 @@ _STDERR = 2
 
 def inertia_fault(values: tuple[float, ...]) -> str | None:
     """Say why no rigid body has the inertia (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) in kg m², or return None."""
-    ixx, iyy, izz, ixy, ixz, iyz = values
-    principal = np.linalg.eigvalsh(np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]))
+    principal = np.linalg.eigvalsh(symmetric(values))
     if principal[0] <= 0.0:
         return "a positive definite inertia"
     if principal[0] + principal[1] < principal[2] * (1.0 - _TRIANGLE_TOLERANCE):

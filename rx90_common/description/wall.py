@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from rx90_common.base.errors import IdentificationError
 
 _FARTHEST = 1000.0  # m, of a plane from the base
 
 
-@dataclass(frozen=True)
-class Wall:
+class Wall(NamedTuple):
     """A plane of which the arm stays on one side.
 
     Attributes:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
-from itertools import combinations, product
+from itertools import combinations, compress, product
 from typing import Any
 
 import numpy as np
@@ -71,21 +71,15 @@ class Workspace:
         )
         self._count(near_planes)
         turns_in_place = np.ptp(self.distances(poses), axis=0) < _LEAST_CHANGE
-        near_planes = [
-            pair for pair, still in zip(near_planes, turns_in_place, strict=True) if not still
-        ]
+        near_planes = list(compress(near_planes, ~turns_in_place))
         near_itself = [
             pair for pair in combinations(bodies, 2) if abs(joints[pair[0]] - joints[pair[1]]) > 1
         ]
         self._count(near_itself)
         touches = self.distances(np.asarray(home, dtype=np.float64)[None])[0] < SELF_CLEARANCE
-        rough = [
-            f"{names[a]} and {names[b]}"
-            for (a, b), near in zip(near_itself, touches, strict=True)
-            if near
-        ]
+        rough = [f"{names[a]} and {names[b]}" for a, b in compress(near_itself, touches)]
         self.uncounted = tuple(dict.fromkeys(rough))
-        near_itself = [pair for pair, near in zip(near_itself, touches, strict=True) if not near]
+        near_itself = list(compress(near_itself, ~touches))
         self._count([*near_planes, *near_itself])
         self.least = np.repeat([clearance, SELF_CLEARANCE], [len(near_planes), len(near_itself)])
         self.pairs = [f"{names[a]} to {names[b]}" for a, b in (*near_planes, *near_itself)]

@@ -59,8 +59,7 @@ _OWN: dict[Part, tuple[str, ...]] = {
 """The parameters by which a part is judged. An exponent near its lower bound, or a rise, may stand in for tau_c."""
 
 
-@dataclass(frozen=True)
-class Gain:
+class Gain(NamedTuple):
     """What an element gains by a richer law.
 
     Attributes:
@@ -203,10 +202,10 @@ def _gain(rows: FrictionRows, number: int, before: _Fitted, after: _Fitted) -> G
     gain = Gain(*held_out_gain(rows.block[element_rows], *squares), after.bound(number))
     errors = needed_errors(before.laws[number].parts, after.laws[number].parts)
     if errors > STANDARD_ERRORS:
-        return replace(gain, errors=errors)
+        return gain._replace(errors=errors)
     if after.parts - before.parts == {Part.EXPONENT}:
         total, error = held_out_gain(rows.block, before.squares, after.squares)
-        return replace(gain, together=total > STANDARD_ERRORS * error)
+        return gain._replace(together=total > STANDARD_ERRORS * error)
     return gain
 
 

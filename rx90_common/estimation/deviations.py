@@ -21,7 +21,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import norm, t
@@ -46,8 +47,7 @@ USUAL_EXPONENT = 0.5
 """Deviation of log alpha where it was left out: published exponents lie between 0.5 and 1.5."""
 
 
-@dataclass(frozen=True, eq=False)
-class Deviations:
+class Deviations(NamedTuple):
     """How well a fit knows its parameters: the q of x, then the p linear ones.
 
     Attributes:
@@ -125,8 +125,8 @@ def law_deviations(
     problem = replace(rows.problem(richest, x), spread=np.array(spread))
     slopes = problem.model(x)[1]
     whole = deviations(
-        replace(
-            result, problem=problem, x=x, slopes=slopes, at_bound=np.zeros(len(x), dtype=np.bool_)
+        result._replace(
+            problem=problem, x=x, slopes=slopes, at_bound=np.zeros(len(x), dtype=np.bool_)
         )
     )
     places = np.flatnonzero(chosen + [True] * len(result.linear))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -29,8 +29,7 @@ class ElementRows(Protocol):
         """Return what the element contributes to its rows, (s,), and its derivatives by the parameters, (s, k)."""
 
 
-@dataclass(frozen=True, eq=False)
-class SteadyRows:
+class SteadyRows(NamedTuple):
     """Rows of an element that slides at a constant velocity.
 
     Attributes:

@@ -17,9 +17,9 @@ its residuals by their median absolute deviation, and less where a row lies far 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import qr
@@ -81,8 +81,7 @@ class Problem:
         return np.flatnonzero(np.isfinite(self.spread))
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(NamedTuple):
     """A problem's solution.
 
     Attributes:
@@ -160,7 +159,7 @@ def fit(problem: Problem, weight: Array | None = None) -> Fit:
         result = _fitted(problem, x, weight)
         x = result.x
         residual = result.residual
-    return replace(result, noise=noise, outlying=over < 1.0)
+    return result._replace(noise=noise, outlying=over < 1.0)
 
 
 def _noise(problem: Problem, residual: Array) -> Array:

@@ -125,11 +125,6 @@ class ReceiveBatching:
         self._callback = _receive_batch()
         _kept.append(self._state)
 
-    @property
-    def pauses(self) -> int:
-        """Return how many pauses there were."""
-        return int(self._state[_PAUSES])
-
     def include(self, subscription: Subscription) -> bool:
         """Gather this subscription's messages too; all of a node's share a receiving thread.
 

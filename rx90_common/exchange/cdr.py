@@ -30,13 +30,13 @@ from rx90_common.exchange.cdr_stamps import (
     ENCAPSULATION,
     HEAD,
     LITTLE_ENDIAN,
+    STAMP,
     STAMP_BYTES,
     cdr_stamp,
 )
 from rx90_common.kernels.compiled import c_function
 
 _COUNT = struct.Struct("<I")
-_STAMP = struct.Struct("<iI")
 _TRANSLATION = struct.Struct("<3d")
 _ROTATION = struct.Struct("<4d")
 _BYTE_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}  # the two plain encodings of CDR
@@ -172,7 +172,7 @@ def transform_encoder(
     rotations = []
     for (parent, child), shift in zip(links, translation, strict=True):
         body.align(4)
-        stamps.append(ENCAPSULATION + body.zeros(_STAMP.size))
+        stamps.append(ENCAPSULATION + body.zeros(STAMP.size))
         body.string(parent)
         body.string(child)
         body.align(8)
@@ -183,7 +183,7 @@ def transform_encoder(
     def encode(stamp_ns: int, rotation: Array) -> bytes:
         stamp = divmod(stamp_ns, NANOSECONDS)
         for at in stamps:
-            _STAMP.pack_into(message, at, *stamp)
+            STAMP.pack_into(message, at, *stamp)
         for at, quaternion in zip(rotations, rotation.tolist(), strict=True):
             _ROTATION.pack_into(message, at, *quaternion)
         return bytes(message)
@@ -472,12 +472,9 @@ def _parse_joint_state(raw: bytes, names: Sequence[str]) -> tuple[int, Arrays]:
     reader.string("header.frame_id")
     given = [reader.string(f"name[{i}]") for i in range(reader.length("name"))]
     accepted = ", ".join(names)
-    for name in given:
-        if name not in names:
-            raise ExchangeError(f"joint name {quoted(name)} is unknown; accepted: {accepted}")
-    for name in names:
-        if given.count(name) != 1:
-            fault = "repeated" if name in given else "missing"
+    for name in (*given, *names):
+        if name not in names or given.count(name) != 1:
+            fault = "missing" if name not in given else "repeated" if name in names else "unknown"
             raise ExchangeError(
                 f"joint name {quoted(name)} is {fault}; accepted: {accepted}, each once"
             )

@@ -13,13 +13,13 @@ LITTLE_ENDIAN = b"\x00\x01\x00\x00"  # the encapsulation
 ENCAPSULATION = 4
 STAMP_BYTES = 8
 HEAD = ENCAPSULATION + STAMP_BYTES
-_LITTLE = struct.Struct("<iI")
+STAMP = struct.Struct("<iI")
 _BIG = struct.Struct(">iI")
 
 
 def cdr_stamp(cdr: bytes) -> tuple[int, int]:
     """Return seconds and nanoseconds from the head of a CDR message, at least HEAD bytes, unchecked."""
-    seconds, nanoseconds = (_LITTLE if cdr[1] & 1 else _BIG).unpack_from(cdr, ENCAPSULATION)
+    seconds, nanoseconds = (STAMP if cdr[1] & 1 else _BIG).unpack_from(cdr, ENCAPSULATION)
     return seconds, nanoseconds
 
 

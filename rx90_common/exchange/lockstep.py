@@ -66,7 +66,7 @@ class LockstepSimulation:
     Args:
         channel: publishes states, receives commands.
         announce: prints a line.
-        complain: prints a line about a controller whose stamps are wrong; called once for each wait; else `announce`.
+        complain: prints a line about a controller whose stamps are wrong; called once for each wait.
         usable: returns whether a command with the pending stamp is valid; if not, it has reported the reason.
 
     Attributes:
@@ -77,11 +77,11 @@ class LockstepSimulation:
         self,
         channel: TickChannel,
         announce: Callable[[str], None],
-        complain: Callable[[str], None] | None = None,
-        usable: Callable[[bytes], bool] = lambda _raw: True,
+        complain: Callable[[str], None],
+        usable: Callable[[bytes], bool],
     ) -> None:
         self._channel = channel
-        self._complain = complain or announce
+        self._complain = complain
         self._usable = usable
         self._wait = Wait(announce, "the controller answers: time runs on from")
         self._accepted = b""

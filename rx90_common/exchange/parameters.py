@@ -114,7 +114,10 @@ class RateParameters(NodeModel):
         return Rates(self.base_rate, self.position_rate)
 
 
-_of_robot = "; the robot's if empty."
+def robots_file(role: str) -> Any:
+    """Return the Field of a parameter that names a file in place of the robot's."""
+    about = DESCRIPTIONS[role]
+    return Field(description=f"{about[0].upper()}{about[1:]}; the robot's if empty.")
 
 
 class RobotParameters(RateParameters):
@@ -130,10 +133,8 @@ class RobotParameters(RateParameters):
     robot: Annotated[
         str, Field(description="Robot: name of a shipped one, or your own robot folder.")
     ] = DEFAULT_ROBOT
-    urdf: Annotated[str, Field(description=f"{DESCRIPTIONS['urdf']}{_of_robot}")] = ""
-    drives: Annotated[
-        str, Field(description=f"{DESCRIPTIONS['drives'].capitalize()}{_of_robot}")
-    ] = ""
+    urdf: Annotated[str, robots_file("urdf")] = ""
+    drives: Annotated[str, robots_file("drives")] = ""
 
     def files(self) -> RobotFiles:
         """Return the robot's files, and those that are named in their place."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from rx90_common.base.errors import ConfigError, ExchangeError, MessageError
 from rx90_common.base.quoting import quoted
@@ -69,8 +69,7 @@ def motor_names(motors: int) -> tuple[str, ...]:
     return tuple(f"motor_{i}" for i in range(1, motors + 1))
 
 
-@dataclass(frozen=True)
-class TimeMode:
+class TimeMode(NamedTuple):
     """The content of TIME_MODE, latched by the simulation: time mode, and the rates and the robot of both nodes.
 
     Attributes:

@@ -13,8 +13,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import Model, quantity
 from rx90_common.base.quoting import nearest, plain, question, quoted
 from rx90_common.description.robot import load_robot
-from rx90_common.description.robot_files import DESCRIPTIONS
-from rx90_common.exchange.parameters import RobotParameters, nested
+from rx90_common.exchange.parameters import RobotParameters, nested, robots_file
 from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS
 from rx90_controller.law.parameters import (
     CS7BParameters,
@@ -45,9 +44,7 @@ _rate = partial(quantity, "Hz", ge=0.1, le=20000.0)
 class ControllerFiles(RobotParameters):
     """The parameters of a node that has no robot yet."""
 
-    controller: Annotated[
-        str, Field(description=f"{DESCRIPTIONS['controller'].capitalize()}; the robot's if empty.")
-    ] = ""
+    controller: Annotated[str, robots_file("controller")] = ""
     max_seconds_ahead: Annotated[
         float,
         quantity(

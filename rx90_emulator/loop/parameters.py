@@ -24,6 +24,7 @@ from rx90_common.base.errors import ConfigError, check_type, located
 from rx90_common.base.models import AnyModel, Model, word_of
 from rx90_common.base.quoting import counted, nearest, question, quoted
 from rx90_common.description.robot import RobotModel
+from rx90_common.description.rotations import symmetric
 from rx90_common.description.urdf import inertia_fault
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_common.friction.signs import BySign
@@ -356,8 +357,7 @@ def _robot(robot: RobotModel, links: Mapping[str, Any]) -> RobotModel:
         if (fault := inertia_fault(tuple(inertia.tolist()))) is not None:
             raise ConfigError(f"{where}.inertia is {inertia.tolist()} kg m^2; accepted: {fault}")
         turn = turns[row]  # the chain's axes are the base's at q = 0
-        xx, yy, zz, xy, xz, yz = inertia
-        tensor = turn.T @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn
+        tensor = turn.T @ symmetric(inertia) @ turn
         model.inertias[row + 1] = pin.Inertia(mass, turn.T @ com, tensor)
     return replace(robot, chain=robot.chain._replace(**bodies), model=model)
 

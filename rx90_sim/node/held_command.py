@@ -63,7 +63,7 @@ class HeldCommand:
         timeout: float,
         announce: Callable[[str], None],
         complain: Callable[[str], None],
-        interrupted: Callable[[], bool] = lambda: False,
+        interrupted: Callable[[], bool],
     ) -> None:
         self._channel = channel
         self._topic = channel.subscribe_topic

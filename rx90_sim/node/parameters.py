@@ -13,8 +13,7 @@ from rx90_common.base.models import NotNegative, RowOf, as_refusal, quantity, re
 from rx90_common.base.quoting import counted
 from rx90_common.base.rates import ticks_per
 from rx90_common.description.robot import RobotModel, load_robot
-from rx90_common.description.robot_files import DESCRIPTIONS
-from rx90_common.exchange.parameters import RobotParameters
+from rx90_common.exchange.parameters import RobotParameters, robots_file
 from rx90_common.exchange.topics import FREE_RUNNING, JOINT_INTERFACE, MOTOR_INTERFACE
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_sim.plant_steps import MAX_STEPS
@@ -26,12 +25,8 @@ FILE_PARAMETERS = ("urdf", "tool", "drives", "friction")
 class SimulationParameters(RobotParameters):
     """The node's parameters."""
 
-    tool: Annotated[
-        str, Field(description=f"{DESCRIPTIONS['tool'].capitalize()}; the robot's if empty.")
-    ] = ""
-    friction: Annotated[
-        str, Field(description=f"{DESCRIPTIONS['friction'].capitalize()}; the robot's if empty.")
-    ] = ""
+    tool: Annotated[str, robots_file("tool")] = ""
+    friction: Annotated[str, robots_file("friction")] = ""
     step_ticks: Annotated[
         int, Field(ge=1, le=100_000_000, description="Ticks of one call of ~/step.")
     ] = 1

@@ -15,8 +15,9 @@ from rig_simulators import simavr, ucsim
 from shared_files import made_once
 
 from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig, NativeBoard, firmware_directory
+from friction_bench.rig.emulated import EmulatedRig, NativeBoard
 from friction_bench.rig.rig_file import Rig, load_rig
+from rx90_common.base.share import share_directory
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 BINARIES = {"native": "librig_native.so", "mcs51": "rig_mcs51.ihx", "avr": "rig_avr.hex"}
@@ -51,7 +52,7 @@ def firmware(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 def make_mutant(tmp_path: Path, make_board: Callable[..., Any]) -> Callable[..., Any]:
     def make(target: str, file: str, old: str, new: str) -> Any:
         sources = tmp_path / "mutant"
-        shutil.copytree(firmware_directory(), sources)
+        shutil.copytree(share_directory() / "firmware", sources)
         text = (sources / file).read_text()
         assert text.count(old) == 1, f"{file} holds {old!r} {text.count(old)} times"
         (sources / file).write_text(text.replace(old, new))
@@ -77,7 +78,7 @@ def make_board(firmware: Callable[[str], Path], shim: Callable[[str], Path]) -> 
 
         def make(target: str, seed: int = 1, binary: Path | None = None) -> Any:
             if target == "native":
-                return NativeBoard(library=binary)
+                return NativeBoard(19200, binary)
             binary = binary or firmware(target)
             if target == "mcs51":
                 need("ucsim")

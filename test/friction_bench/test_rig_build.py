@@ -76,7 +76,7 @@ def test_a_library_made_with_other_figures_follows_them(tmp_path: Path) -> None:
         done = make("native", tmp_path, figures)
         assert done.returncode == 0, done.stderr
         built.append(library.stat().st_mtime_ns)
-        player = armed(NativeBoard(library=library))
+        player = armed(NativeBoard(19200, library))
         assert (player.hello.torque_limit_code, player.hello.dac_full_scale) == (limit, pytest.approx(scale))
     assert built[0] != built[1] == built[2]
     for code, result in ((100, CommandResult.OK), (101, CommandResult.RANGE)):

@@ -88,7 +88,7 @@ def test_one_or_two_flipped_bits_are_never_accepted(frame: Frame, data: st.DataO
 
 def test_the_firmware_sends_and_accepts_what_python_does(tmp_path: Path) -> None:
     """100,000 frames are the same bytes; with 1 % of those hit, both accept the same, all of which had been sent."""
-    library = ctypes.CDLL(shutil.copy(native_library(), tmp_path))
+    library = ctypes.CDLL(shutil.copy(native_library({}), tmp_path))
     library.frame_receive.restype = ctypes.c_bool
     buffer = (ctypes.c_uint8 * 8).in_dll(library, "frame_rx")
     length = ctypes.c_uint8.in_dll(library, "frame_rx_length")

@@ -45,7 +45,7 @@ class Drive:
         decode: Callable[[bytes], Any] = lambda raw: CODEC.decode(raw)[3],
     ) -> None:
         channel: Any = self
-        self.held = kind(channel, decode, PERIOD, timeout, self.said.append, complain)
+        self.held = kind(channel, decode, PERIOD, timeout, self.said.append, complain, lambda: False)
 
     def receive(self, timeout: float) -> bytes | None:
         if not self.inbox and timeout > 0.0:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import compress, pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallbacks
@@ -40,8 +40,7 @@ class WriterCount:
     lost: int = 0
 
 
-@dataclass(frozen=True)
-class TopicCount:
+class TopicCount(NamedTuple):
     """What was recorded of a topic.
 
     Attributes:

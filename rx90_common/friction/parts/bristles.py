@@ -156,9 +156,10 @@ def fill_bristles(record: Any, e: int, kind: BristlesPart, _: Surroundings | Non
 
 
 @inlined
-def reset_bristles(_parts: Any, state: Any, _transmitted: Lanes, _step: float, _width: int) -> None:
+def reset_bristles(_parts: Any, state: Any, transmitted: Lanes, _step: float, _width: int) -> Lanes:
     """Put all blocks at rest; the elements' deflections are the caller's."""
     state.bristles.blocks[:] = 0.0
+    return transmitted
 
 
 BRISTLES = Part(

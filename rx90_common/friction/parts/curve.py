@@ -23,10 +23,10 @@ from pydantic import Field, model_validator
 
 from rx90_common.base.arrays import Array, RecordType, record_type
 from rx90_common.base.models import FileModel, Positive, quantity, refusal
-from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings
+from rx90_common.friction.parts.part import FrictionPart, Moment, Part, Present, Surroundings
 from rx90_common.friction.signs import BySign
 from rx90_common.kernels.compiled import inlined
-from rx90_common.kernels.lanes import Lanes, lane, load, select
+from rx90_common.kernels.lanes import lane, load, select
 
 MAX_POINTS = 64
 """Of the table of one sign."""
@@ -215,20 +215,12 @@ def _torque(part: Any, sign: int, element: int, speed: float) -> float:
 
 
 @inlined
-def curved(
-    parts: Any,
-    state: Any,
-    present: Present,
-    _angle: Lanes,
-    velocity: Lanes,
-    _ahead: float,
-    width: int,
-) -> Present:
+def curved(parts: Any, state: Any, present: Present, moment: Moment, width: int) -> Present:
     """Put the torques of the tables in place of tau_c and tau_s."""
     if not parts.curve.used:
         return present
     for e in range(width):
-        speed = lane(velocity, e)
+        speed = lane(moment.velocity, e)
         sign = 0 if speed >= 0.0 else 1
         if parts.curve.pieces[sign, e] > 0:
             state.curve.torque[e] = _torque(parts.curve, sign, e, abs(speed))
@@ -238,7 +230,6 @@ def curved(
         (select(given, torque, present.tau_c[0]), select(given, torque, present.tau_c[1])),
         (select(given, torque, present.tau_s[0]), select(given, torque, present.tau_s[1])),
         present.inverse_omega_s,
-        present.delta,
         present.c2,
         present.scale,
         present.coulomb,

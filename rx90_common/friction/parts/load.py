@@ -44,7 +44,14 @@ from pydantic import Field, model_validator
 
 from rx90_common.base.arrays import RecordType, record_type
 from rx90_common.base.models import NotNegative, Positive, quantity, refusal
-from rx90_common.friction.parts.part import MIN_SPEED, FrictionPart, Part, Present, Surroundings
+from rx90_common.friction.parts.part import (
+    MIN_SPEED,
+    FrictionPart,
+    Moment,
+    Part,
+    Present,
+    Surroundings,
+)
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import exponential, power
 from rx90_common.kernels.lanes import Lanes, absolute, fma, load, select, store
@@ -147,22 +154,14 @@ def fill_load(record: Any, e: int, part: LoadPart, _: Surroundings) -> None:
 
 
 @inlined
-def loaded(
-    parts: Any,
-    state: Any,
-    present: Present,
-    _angle: Lanes,
-    velocity: Lanes,
-    ahead: float,
-    width: int,
-) -> Present:
+def loaded(parts: Any, state: Any, present: Present, moment: Moment, width: int) -> Present:
     """Add the load's share of Coulomb and static torque.
 
     A share with a Stribeck velocity of its own counts as Coulomb torque, as large as it is at this velocity.
     """
     part = parts.load
-    transmitted = fma(ahead, load(state.load.slope, width), load(state.load.torque, width))
-    driving = transmitted * velocity >= 0.0
+    transmitted = fma(moment.ahead, load(state.load.slope, width), load(state.load.torque, width))
+    driving = transmitted * moment.velocity >= 0.0
     size = absolute(transmitted)
     coulomb = size * select(driving, load(part.coulomb[0], width), load(part.coulomb[1], width))
     stribeck = select(driving, load(part.stribeck[0], width), load(part.stribeck[1], width))
@@ -171,14 +170,13 @@ def loaded(
     if part.fades:
         inverse = load(part.inverse_omega_s, width)
         fades = inverse > 0.0
-        decay = exponential(-power(absolute(velocity) * inverse, present.delta))
+        decay = exponential(-power(absolute(moment.velocity) * inverse, moment.delta))
         coulomb = coulomb + select(fades, rise * decay, 0.0)
         rise = select(fades, 0.0, rise)
     return Present(
         present.tau_c,
         present.tau_s,
         present.inverse_omega_s,
-        present.delta,
         present.c2,
         present.scale,
         present.coulomb + coulomb,
@@ -187,19 +185,21 @@ def loaded(
 
 
 @inlined
-def settle_load(_parts: Any, state: Any, transmitted: Lanes, _step: float, _width: int) -> None:
+def settle_load(_parts: Any, state: Any, transmitted: Lanes, _step: float, _width: int) -> Lanes:
     """Begin with the transmitted torques, Nm."""
     store(state.load.torque, transmitted)
     store(state.load.slope, 0.0 * transmitted)
+    return transmitted
 
 
 @inlined
-def advance_load(parts: Any, state: Any, transmitted: Lanes, step: float, width: int) -> None:
+def advance_load(parts: Any, state: Any, transmitted: Lanes, step: float, width: int) -> Lanes:
     """Let the loads follow the transmitted torque, Nm, over a step, s: exactly, for a constant torque."""
     before = load(state.load.torque, width)
     change = (transmitted - before) * (1.0 - exponential(-step * load(parts.load.rate, width)))
     store(state.load.torque, before + change)
     store(state.load.slope, change / step)
+    return transmitted
 
 
 LOAD = Part(

@@ -59,7 +59,6 @@ class Present(NamedTuple):
         tau_c: Coulomb torque of both signs, Nm.
         tau_s: static torque of both signs, Nm.
         inverse_omega_s: s/rad.
-        delta: Stribeck exponent.
         c2: viscous friction.
         scale: number that both torques are multiplied with.
         coulomb: torque that is added to the Coulomb torque after that, Nm.
@@ -69,11 +68,19 @@ class Present(NamedTuple):
     tau_c: tuple[Lanes, Lanes]
     tau_s: tuple[Lanes, Lanes]
     inverse_omega_s: Lanes
-    delta: Lanes
     c2: Lanes
     scale: Lanes
     coulomb: Lanes
     static: Lanes
+
+
+class Moment(NamedTuple):
+    """Angles, rad, velocities, rad/s, and Stribeck exponents of the elements, so many seconds after the last step."""
+
+    angle: Lanes
+    velocity: Lanes
+    delta: Lanes
+    ahead: float
 
 
 @inlined
@@ -83,7 +90,6 @@ def scaled(present: Present, factor: Lanes) -> Present:
         present.tau_c,
         present.tau_s,
         present.inverse_omega_s,
-        present.delta,
         present.c2,
         present.scale * factor,
         present.coulomb,
@@ -113,14 +119,15 @@ class Part:
     """The registration of a part: its models, and what compiled code needs for it.
 
     The records of all parts are the fields of `parts` and `state`, by the parts' names. Functions in compiled code are
-    `inlined`; those that change states have the arguments (parts, state, transmitted torque, step, width).
+    `inlined`; those that change states have the arguments (parts, state, transmitted torque, step, width), and return
+    the torque.
 
     Attributes:
         models: of its block in a file, one for each kind.
         constants: type of its constants for so many elements; zeros where the part is off.
         fill: writes the constants of an element that has the part; (record, its number, part, surroundings).
         state: type of its state, if it has one.
-        present: returns the changed `Present`; (parts, state, present, angle, velocity, time ahead, width).
+        present: returns the changed `Present`; (parts, state, present, `Moment`, width).
         settle: begins anew, but for temperatures.
         advance: advances the state by a step of the plant.
         tick: advances the state by a tick.

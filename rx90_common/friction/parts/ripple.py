@@ -21,10 +21,17 @@ from pydantic import Field, model_validator
 
 from rx90_common.base.arrays import RecordType, record_type
 from rx90_common.base.models import Row, quantity, refusal
-from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings, scaled
+from rx90_common.friction.parts.part import (
+    FrictionPart,
+    Moment,
+    Part,
+    Present,
+    Surroundings,
+    scaled,
+)
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import sine_cosine, sines_cosines
-from rx90_common.kernels.lanes import Lanes, fma, load
+from rx90_common.kernels.lanes import fma, load
 
 MAX_TERMS = 8
 """Of each of both sums."""
@@ -120,20 +127,12 @@ def fill_ripple(record: Any, e: int, part: RipplePart, surroundings: Surrounding
 
 
 @inlined
-def rippled(
-    parts: Any,
-    _state: Any,
-    present: Present,
-    angle: Lanes,
-    _velocity: Lanes,
-    _ahead: float,
-    width: int,
-) -> Present:
+def rippled(parts: Any, _state: Any, present: Present, moment: Moment, width: int) -> Present:
     """Scale Coulomb and static torque by the elements' angles, rad."""
     part = parts.ripple
-    factor = 0.0 * angle + 1.0
+    factor = 0.0 * moment.angle + 1.0
     for k in range(part.terms):
-        sine, cosine = sine_cosine(load(part.harmonic[k], width) * angle)
+        sine, cosine = sine_cosine(load(part.harmonic[k], width) * moment.angle)
         factor = fma(
             load(part.cosine[k], width), cosine, fma(load(part.sine[k], width), sine, factor)
         )

@@ -26,7 +26,14 @@ from rx90_common.base.arrays import RecordType, record_type
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import Positive, quantity
 from rx90_common.base.quoting import quoted
-from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings, scaled
+from rx90_common.friction.parts.part import (
+    FrictionPart,
+    Moment,
+    Part,
+    Present,
+    Surroundings,
+    scaled,
+)
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import GOLDEN, exponential_less_one_of, mixed, nearly_normal
 from rx90_common.kernels.lanes import Lanes, load
@@ -97,7 +104,7 @@ def _draw(walks: Any, element: int) -> float:
 
 
 @inlined
-def start_scatter(parts: Any, state: Any, _transmitted: Lanes, _step: float, width: int) -> None:
+def start_scatter(parts: Any, state: Any, transmitted: Lanes, _step: float, width: int) -> Lanes:
     """Draw where the walks begin, always the same for a seed."""
     walks = state.scatter
     for i in range(width):
@@ -107,10 +114,11 @@ def start_scatter(parts: Any, state: Any, _transmitted: Lanes, _step: float, wid
             total += _draw(walks, i)
         walks.walk[i] = 0.5 * total
         walks.factor[i] = _factor(parts.scatter, walks, i)
+    return transmitted
 
 
 @inlined
-def advance_scatter(parts: Any, state: Any, _transmitted: Lanes, _step: float, width: int) -> None:
+def advance_scatter(parts: Any, state: Any, transmitted: Lanes, _step: float, width: int) -> Lanes:
     """Advance the walks by a tick."""
     part = parts.scatter
     walks = state.scatter
@@ -118,6 +126,7 @@ def advance_scatter(parts: Any, state: Any, _transmitted: Lanes, _step: float, w
         if part.deviation[i] > 0.0:
             walks.walk[i] = part.decay[i] * walks.walk[i] + part.kick[i] * _draw(walks, i)
             walks.factor[i] = _factor(part, walks, i)
+    return transmitted
 
 
 @inlined
@@ -128,15 +137,7 @@ def _factor(part: Any, walks: Any, element: int) -> float:
 
 
 @inlined
-def scattered(
-    _parts: Any,
-    state: Any,
-    present: Present,
-    _angle: Lanes,
-    _velocity: Lanes,
-    _ahead: float,
-    width: int,
-) -> Present:
+def scattered(_parts: Any, state: Any, present: Present, _moment: Moment, width: int) -> Present:
     """Scale Coulomb and static torque."""
     return scaled(present, load(state.scatter.factor, width))
 

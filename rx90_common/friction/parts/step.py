@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from rx90_common.friction.compiled_elements import (
     load_elements,
 )
 from rx90_common.friction.element import PARTS, FrictionElement
-from rx90_common.friction.parts.part import Present, Surroundings
+from rx90_common.friction.parts.part import Moment, Present, Surroundings
 from rx90_common.friction.parts.temperature import start_temperatures
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lanes import Lanes, fma, load
@@ -66,54 +67,29 @@ def fill_parts(
             PARTS[name].fill(record[name], e, part, surroundings)
 
 
-def _changing(hooks: Sequence[Any]) -> Any:
-    """Return a function for kernels that calls functions that change states, one after the other."""
-    first, *others = hooks
-    if not others:
-        return first
-    following = _changing(others)
+def _of_parts(name: str) -> Any:
+    """Return a function for kernels that calls a function of all parts, each with what the one before has returned."""
+    return reduce(_both, filter(None, (getattr(part, name) for part in PARTS.values())))
 
+
+def _both(first: Any, second: Any) -> Any:
     @inlined
-    def both(parts: Any, state: Any, transmitted: Lanes, step: float, width: int) -> None:
-        first(parts, state, transmitted, step, width)
-        following(parts, state, transmitted, step, width)
+    def both(parts: Any, state: Any, before: Any, at: Any, width: int) -> Any:
+        return second(parts, state, first(parts, state, before, at, width), at, width)
 
     return both
 
 
-def _presenting(hooks: Sequence[Any]) -> Any:
-    """Return a function for kernels that passes what the elements are at a moment from one function to the next."""
-    first, *others = hooks
-    if not others:
-        return first
-    following = _presenting(others)
-
-    @inlined
-    def both(
-        parts: Any,
-        state: Any,
-        present: Present,
-        angle: Lanes,
-        velocity: Lanes,
-        ahead: float,
-        width: int,
-    ) -> Present:
-        changed = first(parts, state, present, angle, velocity, ahead, width)
-        return following(parts, state, changed, angle, velocity, ahead, width)  # type: ignore[no-any-return]
-
-    return both
-
-
-advance_parts = _changing([part.advance for part in PARTS.values() if part.advance is not None])
+advance_parts = _of_parts("advance")
 """Advance the parts by a step of the plant, s, with the torques that were transmitted in it, Nm."""
 
-tick_parts = _changing([part.tick for part in PARTS.values() if part.tick is not None])
+tick_parts = _of_parts("tick")
 """Advance the parts by a tick, s; temperatures have a function of their own."""
 
-settle_parts = _changing([part.settle for part in PARTS.values() if part.settle is not None])
+settle_parts = _of_parts("settle")
 """Begin anew, but for the temperatures, with the torques that are transmitted then, Nm; the step is 0."""
 
-_presented = _presenting([part.present for part in PARTS.values() if part.present is not None])
+_presented = _of_parts("present")
 
 
 @inlined
@@ -130,10 +106,11 @@ def effective_elements(
     """Return the parameters that the elements have `ahead` seconds after the last step, at an angle and a velocity."""
     element = load_elements(arrays, width)
     own = Present(
-        element.tau_c, element.tau_s, element.inverse_omega_s, element.delta, element.c2, 1.0 + 0.0 * angle,
+        element.tau_c, element.tau_s, element.inverse_omega_s, element.c2, 1.0 + 0.0 * angle,
         0.0 * angle, 0.0 * angle,
     )  # fmt: skip
-    present = _presented(parts, state, own, angle, velocity, ahead, width)
+    moment = Moment(angle, velocity, element.delta, ahead)
+    present = _presented(parts, state, own, moment, width)
     return Elements(
         (
             fma(present.tau_c[0], present.scale, present.coulomb),

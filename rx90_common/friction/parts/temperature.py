@@ -39,7 +39,7 @@ from pydantic import model_validator
 
 from rx90_common.base.arrays import RecordType, record_type
 from rx90_common.base.models import Positive, quantity, refusal
-from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings
+from rx90_common.friction.parts.part import FrictionPart, Moment, Part, Present, Surroundings
 from rx90_common.friction.signs import SIGNS
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import exponential_less_one, exponential_less_one_of
@@ -245,15 +245,7 @@ def advance_temperatures(
 
 
 @inlined
-def warmed(
-    _parts: Any,
-    state: Any,
-    present: Present,
-    _angle: Lanes,
-    _velocity: Lanes,
-    _ahead: float,
-    width: int,
-) -> Present:
+def warmed(_parts: Any, state: Any, present: Present, _moment: Moment, width: int) -> Present:
     """Change static torque, Stribeck velocity and viscous friction by the present temperature."""
     return Present(
         present.tau_c,
@@ -262,7 +254,6 @@ def warmed(
             warm_static(state.temperature, present.tau_c[1], present.tau_s[1], width),
         ),
         present.inverse_omega_s * load(state.temperature.speed, width),
-        present.delta,
         present.c2 * load(state.temperature.viscous, width),
         present.scale,
         present.coulomb,

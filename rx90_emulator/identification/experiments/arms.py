@@ -14,7 +14,6 @@ from rx90_common.base.quoting import listed
 from rx90_common.base.rates import Rates
 from rx90_common.description.assumed_files import FULL_SPEED_TIME
 from rx90_common.description.joint_model import robot_of_urdf
-from rx90_common.description.poses import check_pose
 from rx90_common.description.robot import RobotModel
 from rx90_common.exchange.topics import motor_names
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
@@ -176,5 +175,5 @@ def _home(robot: RobotModel, given: Sequence[float] | None) -> tuple[Array, tupl
         return middle, (
             f"home is the middle of the joints' ranges, {listed(f'{angle:.4g}' for angle in middle)} rad",
         )
-    check_pose("home", given, robot)
+    robot.check_position("home", given, IdentificationError)
     return np.array(given, dtype=np.float64), ()

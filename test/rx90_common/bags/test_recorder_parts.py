@@ -143,4 +143,4 @@ def test_what_is_sent_is_taken_whole(node: Node) -> None:
     assert (received, lost(stream.counter), stream.repeated) == (count, 0, 0)
     assert times == sorted(times)
     assert began <= stream.sent_ns <= times[-1]
-    assert 0 < streams._batching.pauses < count / 10
+    assert 0 < streams._batching._state[1] < count / 10

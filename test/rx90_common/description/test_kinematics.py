@@ -1,5 +1,6 @@
 """Pose, Jacobian, bias acceleration, inverse kinematics, singularity margins and path error."""
 
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from rx90_common.description.branch import BRANCHES
+from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
 from rx90_common.description.chain import RigidChain
 from rx90_common.description.inverse import SphericalWristArm, nearest_turn, singularity_margins, solve_anywhere
 from rx90_common.description.kinematics import (
@@ -73,7 +74,7 @@ def test_one_of_eight_solutions_is_where_it_was(shipped: Setup, change: Callable
     q = _states(shipped.robot, 200)
     pose = forward(chain, q)
     found = np.zeros(200)
-    for branch in BRANCHES:
+    for branch in itertools.starmap(Branch, itertools.product(SHOULDERS, SIGNS, SIGNS)):
         solution = arm.solve(chain, pose, branch)
         there = ~np.isnan(solution).any(axis=1)
         assert np.abs(forward(chain, solution[there]).position - pose.position[there]).max() < 1e-12

@@ -31,7 +31,7 @@ class Controller:
         self.said: list[str] = []
         self.peers = Matches(1, 1)
         self.on_wait: Callable[[], None] = lambda: None
-        self.side = lockstep.LockstepSimulation(self, self.said.append, None, self.usable)  # type: ignore[arg-type]
+        self.side = lockstep.LockstepSimulation(self, self.said.append, self.said.append, self.usable)  # type: ignore[arg-type]
 
     def usable(self, raw: bytes) -> bool:
         try:

@@ -50,7 +50,7 @@ def test_the_last_lines_of_a_process_are_there_once_it_has_ended(tmp_path: Path)
     child = ChildProcess("late", [sys.executable, "-c", "print('first'); print('last')"], tmp_path / "log")
     opened = threading.Timer(1.0, (tmp_path / "log").read_text)
     opened.start()
-    assert (child.wait(), child.lines) == (0, ["first", "last"])
+    assert (child.wait(), child.output) == (0, "first\nlast")
     opened.join()
 
 
@@ -58,7 +58,7 @@ def test_an_end_does_not_wait_for_who_holds_the_stream_open(monkeypatch: pytest.
     """What a process has started may live on with its output; what the process itself had said is there."""
     monkeypatch.setattr("rx90_common.process.children._LAST_LINES_S", 1.0)
     child = ChildProcess("parent", ["sh", "-c", "echo last; sleep 600 & exit 3"])
-    assert (child.wait(), child.lines) == (3, ["last"])
+    assert (child.wait(), child.output) == (3, "last")
     os.killpg(child.pid, signal.SIGKILL)
 
 

@@ -9,8 +9,7 @@ from bokeh.models import PlainText
 from jinja2 import UndefinedError
 
 from rx90_common.base.share import PACKAGES, ROOT
-from rx90_common.report.charts import MOST_POINTS, chart, join, thin
-from rx90_common.report.few_points import few_points
+from rx90_common.report.charts import MOST_POINTS, chart, few_points, join, thin
 from rx90_common.report.page import render_page
 from rx90_common.report.picture import picture
 

@@ -72,7 +72,13 @@ class Nodes:
         codec = JointStateCodec(motor_names(6))
         self._encode = JointStateCodec(motor_names(6)).encoder(*self.plant.motor_states())
         self.held = held_command.HeldCommand(
-            ours, lambda raw: codec.decode(raw)[3], rates.period_ns, 0.1, self.said.append, self.said.append
+            ours,
+            lambda raw: codec.decode(raw)[3],
+            rates.period_ns,
+            0.1,
+            self.said.append,
+            self.said.append,
+            lambda: False,
         )
         self._period_ns = rates.period_ns
         self.error = np.zeros(6)
