@@ -21,8 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import norm, t
@@ -47,7 +46,8 @@ USUAL_EXPONENT = 0.5
 """Deviation of log alpha where it was left out: published exponents lie between 0.5 and 1.5."""
 
 
-class Deviations(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Deviations:
     """How well a fit knows its parameters: the q of x, then the p linear ones.
 
     Attributes:
