@@ -95,10 +95,15 @@ class ChildProcess:
         return self._process.poll()
 
     @property
+    def lines(self) -> list[str]:
+        """Return the lines printed so far."""
+        with self._changed:
+            return list(self._lines)
+
+    @property
     def output(self) -> str:
         """Return the output printed so far as one text."""
-        with self._changed:
-            return "\n".join(self._lines)
+        return "\n".join(self.lines)
 
     def wait_for(self, pattern: str, timeout: float = TIMEOUT) -> re.Match[str]:
         """Return the match of the first line with `pattern` in it, after those checked by earlier calls.

@@ -15,7 +15,7 @@ from rig_simulators import simavr, ucsim
 from shared_files import made_once
 
 from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig, NativeBoard
+from friction_bench.rig.emulated import EmulatedRig, NativeBoard, native_library
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.share import share_directory
 
@@ -78,7 +78,7 @@ def make_board(firmware: Callable[[str], Path], shim: Callable[[str], Path]) -> 
 
         def make(target: str, seed: int = 1, binary: Path | None = None) -> Any:
             if target == "native":
-                return NativeBoard(19200, binary)
+                return NativeBoard(19200, binary or native_library({}))
             binary = binary or firmware(target)
             if target == "mcs51":
                 need("ucsim")

@@ -284,7 +284,7 @@ def test_break_away_torque_is_found(rig: Rig) -> None:
 def test_a_bent_ramp_is_left_out_as_if_it_had_not_been_run() -> None:
     """One ramp of five whose velocity bends is named; the others give what they give without it."""
     slopes = (0.03, 0.05, 0.03, 0.05)
-    straight = [ideal_record(replace(MODEL, slope=m), 20.0, label=f"ramp {k}") for k, m in enumerate(slopes)]
+    straight = [ideal_record(MODEL._replace(slope=m), 20.0, label=f"ramp {k}") for k, m in enumerate(slopes)]
     found = identify_ramps([bent(straight[1], 0.9, label="bent"), *straight], 0.0)
     assert [reason.partition(":")[0] for reason in found.unused] == ["bent"]
     assert [ramp.record.label for ramp in found.ramps] == [record.label for record in straight]
@@ -324,7 +324,7 @@ def with_torques(command: Callable[[Any], Any], measured: Callable[[Any], Any]) 
 REFUSALS = {
     "no break-away": lambda: ideal_record(MODEL, 0.9),
     "too short": lambda: ideal_record(MODEL, 2.2),
-    "too short|no straight asymptote": lambda: ideal_record(replace(MODEL, viscous=0.002), 6.0),
+    "too short|no straight asymptote": lambda: ideal_record(MODEL._replace(viscous=0.002), 6.0),
     "no straight asymptote|does not accelerate": lambda: bent(ideal_record(MODEL, 10.0), 0.0),
     "leaves the ramp": lambda: with_torques(lambda t: np.minimum(t, 0.3), lambda t: t),
     "measured torque falls": lambda: with_torques(lambda t: t, lambda t: np.minimum(t, 0.35)),
