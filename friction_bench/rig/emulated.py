@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import os
+import select
 import shutil
 import subprocess
 import tempfile
@@ -233,7 +234,7 @@ class PtyRig:
         while not self._stop.is_set():
             behind = time.monotonic() - due
             if behind < SLICE:
-                time.sleep(SLICE - behind)
+                select.select([self.line.device], [], [], 2 * SLICE)
             if behind > _LONGEST_STEP:
                 due += behind - _LONGEST_STEP
                 behind = _LONGEST_STEP
@@ -247,7 +248,7 @@ class PtyRig:
         """Advance time, between reading the line and writing to it."""
         self.emulated.board.write(self.line.read())
         self.emulated.advance(seconds)
-        self.line.write(self.emulated.board.read())
+        self.line.write(self.emulated.board.read())  # a full line loses bytes, as a real one does
 
     def close(self) -> None:
         """End the rig: for its opener, this is an unplugged cable."""

@@ -31,7 +31,8 @@ class Verdict(IntEnum):
     INCOMPARABLE = 2
 
 
-class Side(NamedTuple):
+@dataclass(frozen=True)
+class Side:
     """What one of two series has and the other lacks.
 
     Attributes:
@@ -45,7 +46,8 @@ class Side(NamedTuple):
     outside: int
 
 
-class ValueDifference(NamedTuple):
+@dataclass(frozen=True)
+class ValueDifference:
     """The differences of one field of one joint over the pairs of messages.
 
     Attributes:
@@ -71,7 +73,8 @@ class ValueDifference(NamedTuple):
     not_finite: int
 
 
-class TopicComparison(NamedTuple):
+@dataclass(frozen=True)
+class TopicComparison:
     """The comparison of one topic.
 
     Attributes:
@@ -102,7 +105,8 @@ class TopicComparison(NamedTuple):
         return self.verdict is Verdict.SAME and all(value.tolerance == 0.0 for value in self.values)
 
 
-class BagComparison(NamedTuple):
+@dataclass(frozen=True)
+class BagComparison:
     """The comparison of two bags.
 
     Attributes:

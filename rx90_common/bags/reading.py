@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple
+from typing import Any
 
 from backports import zstd
 from rosbags.typesys import Stores
@@ -176,7 +176,8 @@ class BagReader:
             raise BagError(f"{plain(file.name)} {error}") from error
 
 
-class JointBag(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class JointBag:
     """The content of a bag.
 
     Attributes:
@@ -227,7 +228,7 @@ class JointBag(NamedTuple):
             topic: [replace(series, stamp_ns=series.stamp_ns + shift_ns) for series in sets]
             for topic, sets in self.series.items()
         }
-        return self._replace(series=later)
+        return replace(self, series=later)
 
 
 def read_joint_bag(

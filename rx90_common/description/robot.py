@@ -199,15 +199,13 @@ class RobotModel:
     ) -> None:
         """Check that a position, rad, is within the ranges of the joints; refused by an error of a kind."""
         if np.shape(position) != self.lower.shape:
-            raise kind(
-                f"{what}: {counted(np.size(position), 'number')}; accepted: {len(self.lower)}, one for each joint"
-            )
+            raise kind(f"{what} has shape {np.shape(position)}; accepted: {self.lower.shape}")
         for name, value, low, high in zip(
             self.joint_names, np.asarray(position), self.lower, self.upper, strict=True
         ):
             if not low <= value <= high:
                 raise kind(
-                    f"{what}: {name} is {value:g} rad; accepted: [{low:.5g}, {high:.5g}], the joint's limits"
+                    f"{what}: {name} is {value} rad; accepted: [{low:.5g}, {high:.5g}], the joint's limits"
                 )
 
 

@@ -101,11 +101,14 @@ class FrictionRows:
     @cached_property
     def _torque(self) -> Callable[[int, Law, bytes], tuple[Array, Array]]:
         """Return the function for an element's torque and slopes; the last ones are kept, as most do not change."""
+        elements = (
+            self.elements
+        )  # not self, which would then wait for the garbage collector with its rows
 
         def torque(number: int, law: Law, x: bytes) -> tuple[Array, Array]:
-            return self.elements[number].torque(law, np.frombuffer(x))
+            return elements[number].torque(law, np.frombuffer(x))
 
-        return lru_cache(len(self.elements))(torque)
+        return lru_cache(len(elements))(torque)
 
 
 def places(laws: Sequence[Law]) -> list[slice]:

@@ -107,6 +107,10 @@ class CdrReader:
     """
 
     def __init__(self, raw: bytes) -> None:
+        if len(raw) < ENCAPSULATION:
+            raise ExchangeError(
+                f"message is cut off: {counted(len(raw), 'byte')}, no CDR encapsulation"
+            )
         order = _BYTE_ORDERS.get(bytes(raw[:2]))
         if order is None:
             encapsulation = bytes(raw[:2]).hex()
@@ -127,9 +131,14 @@ class CdrReader:
             )
         return self._body[start : self._at]
 
-    def length(self, field: str) -> int:
-        """Return the length of a sequence."""
+    def length(self, field: str, least_bytes: int = 1) -> int:
+        """Return the length of a sequence; refuse one that the rest cannot hold before anything is built."""
         (length,) = struct.unpack(f"{self._order}I", self.take(field, 4, 4))
+        left = len(self._body) - self._at
+        if length * least_bytes > left:
+            raise ExchangeError(
+                f"message is cut off in {field}: {counted(length, 'element')} announced, {counted(left, 'byte')} left"
+            )
         return int(length)
 
     def string(self, field: str) -> str:
@@ -142,7 +151,7 @@ class CdrReader:
 
     def doubles(self, field: str) -> Array:
         """Return a sequence of float64, shape (n,)."""
-        length = self.length(field)
+        length = self.length(field, 8)
         content = self.take(field, 8 * length, 8 if length else 1)
         return np.frombuffer(content, dtype=f"{self._order}f8").astype(np.float64)
 
@@ -470,7 +479,7 @@ def _parse_joint_state(raw: bytes, names: Sequence[str]) -> tuple[int, Arrays]:
             f"header.stamp.nanosec is {nanoseconds}; accepted: 0 to {NANOSECONDS - 1}"
         )
     reader.string("header.frame_id")
-    given = [reader.string(f"name[{i}]") for i in range(reader.length("name"))]
+    given = [reader.string(f"name[{i}]") for i in range(reader.length("name", 4))]
     accepted = ", ".join(names)
     for name in (*given, *names):
         if name not in names or given.count(name) != 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from time import monotonic
 
@@ -18,6 +19,7 @@ from rx90_common.exchange.client_node import ClientNode
 from rx90_common.exchange.endpoints import LATCHED_QOS, ros_time
 from rx90_controller.node.trajectory_client import TrajectoryClient, enable_request
 
+_SILENCE = 5.0  # s; diagnostics come once a second
 OUTPUTS = "outputs"
 INPUTS = "inputs"
 
@@ -57,7 +59,8 @@ class ProgramClient:
         self.outage = ""
         self._heard = monotonic()
         client.node.create_subscription(DiagnosticArray, "/diagnostics", self._take_status, 20)
-        client.wait(lambda: self._enabled is not None, "the controller's diagnostics")
+        patient = replace(client, timeout=max(client.timeout, _SILENCE))
+        patient.wait(lambda: self._enabled is not None, "the controller's diagnostics")
 
     def position(self) -> Array:
         """Return the newest measured joint angles, rad, shape (n,)."""
@@ -120,7 +123,7 @@ class ProgramClient:
                     f"the arm's time stands still at {self._arm.time:.3f} s; accepted: while it runs"
                 )
         self._seen = self._arm.time
-        if monotonic() > self._heard + self._client.timeout:
+        if monotonic() > self._heard + max(self._client.timeout, _SILENCE):
             self.outage = f"{self._controller} is silent"
 
     def signals(self, receive: Callable[[set[int]], None]) -> Callable[[set[int]], None]:

@@ -71,6 +71,8 @@ class SteppedLoop:
 
     def _add(self, *knot: Any) -> None:
         self._last = knot
+        if self._knots and self._knots[-1][0] == knot[0]:
+            self._knots.pop()  # of the set-point at which the power was cut
         if self._keep:
             self._knots.append(knot)
 
