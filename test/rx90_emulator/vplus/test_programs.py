@@ -20,6 +20,7 @@ from rx90_emulator.cabinet.locations import six_numbers
 from rx90_emulator.cabinet.record import ProgramRun
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.line import run_line
+from rx90_emulator.loop.parameters import with_parameters
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.vplus.program import load_programs, read
 from rx90_emulator.vplus.run import Options, run_program
@@ -411,3 +412,14 @@ def test_a_reaction_that_takes_the_power_ends_the_program(shipped: Setup, motion
     assert "Robot power off" in str(done.error)
     assert len(done.motions) == 1
     assert done.cell.arm.joints(done.cell.queue.position)[0] < 30.0
+
+
+def test_a_run_that_the_supervision_ends_has_a_trajectory_of_increasing_times(shipped: Setup) -> None:
+    """Its bag can be replayed: the arm's rest takes the place of the set-point at which the power was cut."""
+    strict = with_parameters(shipped, {"controller.following_error[*]": 1e-3})
+    done = ran(strict, ".PROGRAM p()\nDRIVE 1, 40, 100\n.END\n")
+    assert "Soft envelope error" in str(done.error)
+    assert done.result is not None
+    times = done.result.commands[0].points.times
+    assert len(times) > 1
+    assert (np.diff(times) > 0.0).all()
