@@ -205,7 +205,7 @@ class RobotModel:
         ):
             if not low <= value <= high:
                 raise kind(
-                    f"{what}: {name} is {value} rad; accepted: [{low:.5g}, {high:.5g}], the joint's limits"
+                    f"{what}: {name} is {value:.12g} rad; accepted: [{low:.5g}, {high:.5g}], the joint's limits"
                 )
 
 

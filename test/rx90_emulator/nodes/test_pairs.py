@@ -128,6 +128,7 @@ def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, c
     publisher.publish(to_rest(0.4, [angle + 0.1 for angle in target]))
     controller.wait_for(r"joint_\d: following error .* rad at .* s; accepted: up to 0.0005 rad; torque off")
     client.spin_until(lambda: told("accepted: up to 0.0005 rad"), "the fault and a rate near 400 Hz")
+    client.spin_until(lambda: max(map(abs, joints[-1].velocity)) < 1e-3, "the brakes to hold")  # no fault right again
     client.enable(True)
     client.spin_until(lambda: told(""), "its end")
 
