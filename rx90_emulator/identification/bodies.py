@@ -120,8 +120,9 @@ def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], A
                 origin = pin.SE3(pin.rpy.rpyToMatrix(*body.rpy), np.array(body.xyz))
                 to_joint = in_joint @ origin.homogeneous
                 xx, yy, zz, xy, xz, yz = body.inertia
-                numbers = np.array([body.mass, 0.0, 0.0, 0.0, xx, xy, yy, xz, yz, zz])
-                about_center = pin.PseudoInertia.FromDynamicParameters(numbers).toMatrix()
+                inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+                about_center = np.diag([0.0, 0.0, 0.0, body.mass])
+                about_center[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
                 pseudo = to_joint @ about_center @ to_joint.T
             bodies.append(MovingBody(frame.name, number[joint], in_joint, pseudo))
     ends = np.zeros((len(joints), 3))
