@@ -203,7 +203,7 @@ FAULT_TEXTS = {
 
 def fault_text(fault: Fault) -> str:
     """Return the latched faults in words, 'none' without one."""
-    return "; ".join(FAULT_TEXTS[bit] for bit in fault) or "none"
+    return "; ".join(text for bit, text in FAULT_TEXTS.items() if bit in fault) or "none"
 
 
 class ResetCause(IntEnum):

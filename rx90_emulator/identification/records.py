@@ -239,7 +239,8 @@ def digest(path: Path | str) -> str:
     whole = hashlib.sha256()
     for file in files:
         with file.open("rb") as stream:
-            hashlib.file_digest(stream, lambda: whole)
+            while block := stream.read(1 << 20):
+                whole.update(block)
     return whole.hexdigest()
 
 
