@@ -109,11 +109,11 @@ class ProgramClient:
             self._began = self._arm.time - self._sent
         self._sent = time
         stamp = self._began + time
-        message = JointState(
-            name=self._names, position=position.tolist(), velocity=velocity.tolist()
-        )
-        message.header.stamp = ros_time(round(stamp * NANOSECONDS))
         if self._powered:
+            message = JointState(
+                name=self._names, position=position.tolist(), velocity=velocity.tolist()
+            )
+            message.header.stamp = ros_time(round(stamp * NANOSECONDS))
             self._targets.publish(message)
         latest = monotonic() + self._client.timeout
         while self._arm.time < stamp:

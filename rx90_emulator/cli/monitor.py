@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -75,9 +76,9 @@ def _serve(options: Namespace, cell: Cell, *, waits: bool) -> None:
     from rx90_common.process.lines import PseudoTerminal, TcpLine
     from rx90_emulator.vplus.monitor import serve
 
-    line = PseudoTerminal() if options.port is None else TcpLine(options.port)
-    print(f"monitor of V+ on {line.name}", flush=True)
-    serve(cell, options.folder, line, options.baud, waits=waits)
+    with closing(PseudoTerminal() if options.port is None else TcpLine(options.port)) as line:
+        print(f"monitor of V+ on {line.name}", flush=True)
+        serve(cell, options.folder, line, options.baud, waits=waits)
 
 
 SUBCOMMANDS = (

@@ -70,11 +70,11 @@ class SteppedLoop:
         self._add(time, q, np.zeros_like(q))
 
     def _add(self, *knot: Any) -> None:
-        self._last = knot
-        if self._knots and self._knots[-1][0] == knot[0]:
+        if not self._keep:
+            self._knots.clear()
+        elif self._knots and self._knots[-1][0] == knot[0]:
             self._knots.pop()  # of the set-point at which the power was cut
-        if self._keep:
-            self._knots.append(knot)
+        self._knots.append(knot)
 
     def send(self, time: float, position: Array, velocity: Array) -> None:
         """Go to joint angles, rad, with speeds, rad/s, within the next beat.
@@ -84,7 +84,7 @@ class SteppedLoop:
             SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
         """
         rates = self._setup.rates
-        begin, start, speed = self._last
+        begin, start, speed = self._knots[-1]
         times = np.array([0.0, time - begin])
         positions = np.array([start, position])
         velocities = np.array([speed, velocity])
